@@ -227,6 +227,7 @@ def test_shapes_follow_one_another_along_the_way(name):
     for shift in (-0.49, 0.0, 0.49):
         index = actor.shape_index(way_m + shift * actor.cycle_m / n_shapes)
         assert index.tolist() == 4 * list(range(n_shapes))
+
     assert actor.shape_index(0.0) == 0
 
 

@@ -113,6 +113,7 @@ def test_large_archives_are_refused_before_they_are_unpacked(tmp_path, monkeypat
 def test_encrypted_files_are_refused(tmp_path):
     path = pack(tmp_path, [("a.shp", "text")])
     data = bytearray(path.read_bytes())
+
     for signature, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
         data[data.index(signature) + offset] |= 1
 

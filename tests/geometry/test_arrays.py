@@ -14,6 +14,7 @@ def test_float_array_is_a_read_only_copy():
     source[0] = 9.0
 
     assert array.tolist() == [1.0, 2.0]
+
     with pytest.raises(ValueError, match="read-only"):
         array[0] = 5.0
 
@@ -51,6 +52,7 @@ def test_freeze_shares_memory_and_cannot_be_written_through():
     view = freeze(array)
 
     assert np.shares_memory(array, view)
+
     with pytest.raises(ValueError, match="read-only"):
         view[0] = 1.0
 

@@ -27,7 +27,10 @@ def corners_of(rectangle):
 def polygon_of(rectangle):
     """The same by the oracle's arithmetic."""
     return rectangle_polygon(
-        rectangle.centre_m, rectangle.yaw_deg, rectangle.length_m, rectangle.width_m
+        rectangle.centre_m,
+        rectangle.yaw_deg,
+        rectangle.length_m,
+        rectangle.width_m,
     )
 
 
@@ -45,7 +48,12 @@ def gaps_of(a, b):
         length_b_m=b.length_m,
         width_b_m=b.width_m,
     )
-    return gaps_between(offset, a.yaw_deg, b.yaw_deg, sizes=sizes)
+    return gaps_between(
+        offset,
+        a.yaw_deg,
+        b.yaw_deg,
+        sizes=sizes,
+    )
 
 
 @given(rectangles())
@@ -60,7 +68,12 @@ def test_corners_go_counter_clockwise_around_the_declared_area(rectangle):
 
 def test_first_corner_is_front_left():
     north_deg = 90.0
-    corners = footprint_corners([10.0, 20.0], north_deg, length_m=4.0, width_m=2.0)
+    corners = footprint_corners(
+        [10.0, 20.0],
+        north_deg,
+        length_m=4.0,
+        width_m=2.0,
+    )
     expected = np.array(
         [
             [9.0, 22.0],
@@ -141,7 +154,12 @@ def test_separation_from_middles_and_headings_broadcasts():
         width_b_m=2.0,
     )
     offset = np.stack([np.arange(5.0), np.zeros(5)], axis=-1)
-    gaps = gaps_between(offset, np.zeros((4, 1)), 90.0, sizes=sizes)
+    gaps = gaps_between(
+        offset,
+        np.zeros((4, 1)),
+        90.0,
+        sizes=sizes,
+    )
 
     assert gaps.shape == (4, 4, 5)
 

@@ -22,14 +22,17 @@ def _pixels(box, margin_px=10):
 
 @given(boxes_px(), boxes_px())
 def test_iou_is_the_share_of_common_pixels(a, b):
-    union = (_pixels(a) | _pixels(b)).sum()
-    common = (_pixels(a) & _pixels(b)).sum()
-    share = common / max(union, 1)
+    in_a = _pixels(a)
+    in_b = _pixels(b)
+    n_union = (in_a | in_b).sum()
+    n_common = (in_a & in_b).sum()
+    share = n_common / max(n_union, 1)
 
     assert iou(a, b) == pytest.approx(share, abs=1e-15)
 
 
 def test_iou_broadcasts_and_is_zero_for_empty_or_touching_boxes():
+    """Touching, without width, and with swapped corners."""
     a = np.array(
         [
             [0.0, 0.0, 2.0, 2.0],
@@ -38,17 +41,20 @@ def test_iou_broadcasts_and_is_zero_for_empty_or_touching_boxes():
             [3.0, 3.0, 1.0, 1.0],
         ]
     )
-    assert iou(a, [0, 0, 2, 2]).tolist() == [1.0, 0.0, 0.0, 0.0]
-    assert iou(a[:, None], a[None]).shape == (4, 4)
+    with_first = iou(a, [0, 0, 2, 2])
+    in_pairs = iou(a[:, None], a[None])
+
+    assert with_first.tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert in_pairs.shape == (4, 4)
 
 
 @given(boxes_px(margin_px=10))
 def test_clipping_keeps_exactly_the_pixels_inside_the_image(box):
-    inside = np.zeros_like(_pixels(box))
-    inside[10 : 10 + SIZE_PX, 10 : 10 + SIZE_PX] = True
+    pixels = _pixels(box)
+    in_image = _pixels([0, 0, SIZE_PX, SIZE_PX])
     clipped = clip_boxes(box, width_px=SIZE_PX, height_px=SIZE_PX)
 
-    assert np.array_equal(_pixels(clipped), _pixels(box) & inside)
+    assert np.array_equal(_pixels(clipped), pixels & in_image)
 
 
 @given(arrays(bool, st.tuples(st.integers(1, 7), st.integers(1, 7))))

@@ -39,14 +39,23 @@ def test_the_protocols_junction_has_four_arms_with_a_lane_each_way():
 
 
 def test_pedestrians_of_the_protocols_junction_cross_9_5_m_from_its_axes():
-    for name, arm in build_junction(protocol_scene()).arms.items():
+    arms = build_junction(protocol_scene()).arms
+
+    for name, arm in arms.items():
         outward = turned([1.0, 0.0], ARMS[name])
-        assert arm.crosswalk.point_m @ outward == pytest.approx(9.5)
-        assert arm.crosswalk.direction @ outward == pytest.approx(0.0, abs=1e-12)
+        away_m = arm.crosswalk.point_m @ outward
+        along = arm.crosswalk.direction @ outward
+        assert away_m == pytest.approx(9.5)
+        assert along == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_crosswalk_of_the_scene_is_taken_by_the_arm_that_it_crosses():
-    scene = protocol_scene(crosswalks_m=[[[-4.0, 13.0], [4.0, 13.0]]])
+    """Other arms keep the one that is assumed."""
+    ends = [
+        [-4.0, 13.0],
+        [4.0, 13.0],
+    ]
+    scene = protocol_scene(crosswalks_m=[ends])
     arms = build_junction(scene).arms
 
     assert arms["north"].crosswalk.point_m[1] == 13.0
@@ -57,6 +66,7 @@ def test_a_crosswalk_of_the_scene_is_taken_by_the_arm_that_it_crosses():
 def test_lanes_are_ordered_from_the_kerb_to_the_axis_however_the_junction_lies(
     angle_deg,
 ):
+    """Also when the map lists them in another order."""
     lanes = []
     for arm, bearing in ARMS.items():
         lanes += lanes_of(arm, bearing + angle_deg, n_lanes=3)
@@ -71,19 +81,24 @@ def test_lanes_are_ordered_from_the_kerb_to_the_axis_however_the_junction_lies(
 def test_the_studys_junction_has_two_lanes_each_way_and_parks_north_and_south():
     arms = build_junction(load_study_scene()).arms
     assert sorted(arms) == ["east", "north", "south", "west"]
+
     for name, arm in arms.items():
         assert len(arm.entry_lanes) == len(arm.exit_lanes) == 2
         is_parking = arm.lanes_in[0].kind == "parking"
         assert is_parking == (name in ("north", "south"))
+
     # Pieces of one lane are put together: 13 m in the junction's own road, 51 m behind
     # it.
-    assert lane_length_m(arms["north"].entry_lanes[0]) == pytest.approx(64.2, abs=0.1)
+    first = arms["north"].entry_lanes[0]
+    assert lane_length_m(first) == pytest.approx(64.2, abs=0.1)
+
     # The lines on which the study's generator lets pedestrians walk.
     assert arms["east"].crosswalk.point_m[0] == -114.93057617
     assert arms["south"].crosswalk.point_m[1] == -10.64744873
 
 
 def test_arms_that_share_a_point_of_the_compass_are_told_apart_by_eight():
+    """Four names where they do, eight where they would be ambiguous."""
     bearings = {"east": 0.0, "north-east": 44.0, "west": 180.0}
     lanes = []
     for arm, bearing in bearings.items():
@@ -105,23 +120,28 @@ def test_a_one_way_arm_has_lanes_of_one_kind_only():
 
 
 def test_lanes_that_do_not_reach_the_outline_are_told():
-    far = build_lane("far", np.array([[100.0, 0.0], [50.0, 0.0]]))
+    line = np.array(
+        [
+            [100.0, 0.0],
+            [50.0, 0.0],
+        ]
+    )
+    far = build_lane("far", line)
     told = "protocol: lanes: got 1; expected lanes that begin"
     with pytest.raises(InputError, match=told):
         arms_of([far])
 
 
 def test_a_bent_lane_tells_how_far_it_leaves_its_line():
-    lane = build_lane(
-        "bent",
-        np.array(
-            [
-                [60.0, 6.0],
-                [40.0, 0.0],
-                [10.0, 0.0],
-            ]
-        ),
+    """The line is fitted to the part asked for, counted from the mouth."""
+    line = np.array(
+        [
+            [60.0, 6.0],
+            [40.0, 0.0],
+            [10.0, 0.0],
+        ]
     )
+    lane = build_lane("bent", line)
     near, off_near_m = lane_line(lane, is_in=True, length_m=30.0)
 
     assert near.yaw_deg == pytest.approx(180.0)
@@ -133,13 +153,19 @@ def test_a_bent_lane_tells_how_far_it_leaves_its_line():
 
 
 def test_lines_cross_where_both_are():
+    """Coordinates count along a line, and to its left."""
     a = Line(point_m=[0.0, 1.0], direction=[2.0, 0.0])
     b = Line(point_m=[3.0, -5.0], direction=[1.0, 1.0])
 
-    assert a.crossing_with(b) == pytest.approx([9.0, 1.0])
-    assert a.coordinates([4.0, 3.0]) == pytest.approx([4.0, 2.0])
-    assert a.turned(90.0).direction == pytest.approx([0.0, 1.0])
-    assert a.at(2.0, 1.0) == pytest.approx([2.0, 2.0])
+    crossing = a.crossing_with(b)
+    beside = a.coordinates([4.0, 3.0])
+    across = a.turned(90.0)
+    place = a.at(2.0, 1.0)
+
+    assert crossing == pytest.approx([9.0, 1.0])
+    assert beside == pytest.approx([4.0, 2.0])
+    assert across.direction == pytest.approx([0.0, 1.0])
+    assert place == pytest.approx([2.0, 2.0])
 
 
 @pytest.mark.parametrize(
@@ -179,6 +205,7 @@ def test_any_number_of_arms_at_any_angle_have_names_of_their_own(angles_deg):
     ],
 )
 def test_a_median_does_not_split_an_arm_but_a_block_does(median_m, n_arms):
+    """Lanes in and out lie so far apart."""
     y = 0.5 * median_m + 1.75
     lanes = [
         build_lane("in", [[61.5, y], [11.5, y]]),
@@ -193,10 +220,13 @@ def test_a_median_does_not_split_an_arm_but_a_block_does(median_m, n_arms):
         ]
     )
 
-    assert len(arms_of(lanes, outline_m=outline)) == n_arms
+    arms = arms_of(lanes, outline_m=outline)
+
+    assert len(arms) == n_arms
 
 
 def test_where_traffic_keeps_left_the_kerb_is_on_the_left():
+    """All lanes are driven the other way."""
     scene = protocol_scene()
     lanes = []
     for lane in arm_lanes(n_lanes=2):

@@ -261,7 +261,12 @@ def test_large_terms_show_the_whole_picture_and_endless_ones_are_refused():
     assert lens.angle_of(lens.shown_at(0.9)) == pytest.approx(0.9)
 
     wide = pick_camera("carla-ncap-rgb", "name")
-    small = replace(wide, lens=lens, width_px=64, height_px=36)
+    small = replace(
+        wide,
+        lens=lens,
+        width_px=64,
+        height_px=36,
+    )
 
     assert np.isfinite(pixel_grid(small)).all()
 

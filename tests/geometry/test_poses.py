@@ -16,21 +16,27 @@ def test_rotations_are_orthonormal_and_right_handed(yaw_deg, pitch_deg):
         body_rotation(yaw_deg, pitch_deg),
         camera_rotation(yaw_deg, pitch_deg),
     ):
-        assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-12)
-        assert np.linalg.det(rotation) == pytest.approx(1.0, abs=1e-12)
+        product = rotation @ rotation.T
+        determinant = np.linalg.det(rotation)
+        assert product == pytest.approx(np.eye(3), abs=1e-12)
+        assert determinant == pytest.approx(1.0, abs=1e-12)
 
 
 @given(st.lists(st.tuples(angles_deg, angles_deg), min_size=1, max_size=5))
 def test_rotations_of_many_angles_are_those_of_each(pairs):
+    """Arrays of angles give an array of matrices."""
     yaw, pitch = np.array(pairs).T
     many = body_rotation(yaw, pitch)
 
     assert many.shape == (len(pairs), 3, 3)
-    for rotation, pair in zip(many, pairs, strict=True):
-        assert rotation == pytest.approx(body_rotation(*pair), abs=1e-15)
+
+    for rotation, (yaw_deg, pitch_deg) in zip(many, pairs, strict=True):
+        alone = body_rotation(yaw_deg, pitch_deg)
+        assert rotation == pytest.approx(alone, abs=1e-15)
 
 
 def test_body_axes_are_ahead_left_up():
+    """ISO 8855: x, y and z of a body that looks north."""
     ahead, left, up = body_rotation(90.0, 0.0).T
     assert ahead == pytest.approx([0, 1, 0], abs=1e-15)  # looking north
     assert left == pytest.approx([-1, 0, 0], abs=1e-15)  # left is west
@@ -40,11 +46,14 @@ def test_body_axes_are_ahead_left_up():
 @given(angles_deg, numbers(-90.0, 90.0))
 def test_positive_pitch_looks_up_and_left_stays_level(yaw_deg, pitch_deg):
     ahead, left, _ = body_rotation(yaw_deg, pitch_deg).T
-    assert ahead[2] == pytest.approx(np.sin(np.radians(pitch_deg)), abs=1e-12)
+    up = np.sin(np.radians(pitch_deg))
+
+    assert ahead[2] == pytest.approx(up, abs=1e-12)
     assert left[2] == 0.0
 
 
 def test_camera_axes_are_right_down_ahead():
+    """OpenCV: x, y and z of a camera that looks east."""
     right, down, ahead = camera_rotation(0.0, 0.0).T
     assert ahead == pytest.approx([1, 0, 0], abs=1e-15)  # looking east
     assert right == pytest.approx([0, -1, 0], abs=1e-15)  # right is south
@@ -53,16 +62,23 @@ def test_camera_axes_are_right_down_ahead():
 
 @given(poses(), points_m, points_m)
 def test_to_world_keeps_distances_and_puts_the_origin_at_the_pose(pose, a, b):
-    world = to_world(np.stack([a, b, np.zeros(3)]), pose)
-    apart_m = np.linalg.norm(a - b)
+    points = np.stack([a, b, np.zeros(3)])
+    world_a, world_b, origin = to_world(points, pose)
+    before_m = np.linalg.norm(a - b)
+    after_m = np.linalg.norm(world_a - world_b)
 
-    assert np.linalg.norm(world[0] - world[1]) == pytest.approx(apart_m, abs=1e-9)
-    assert np.array_equal(world[2], pose.position_m)
+    assert after_m == pytest.approx(before_m, abs=1e-9)
+    assert np.array_equal(origin, pose.position_m)
 
 
 def test_to_world_of_a_point_ahead():
+    """A body looks north: ahead is north, left is west."""
     pose = Pose(position_m=[1.0, 2.0, 3.0], yaw_deg=90.0)
-    ahead, left = to_world([[5.0, 0.0, 0.0], [0.0, 5.0, 0.0]], pose)
+    points = [
+        [5.0, 0.0, 0.0],
+        [0.0, 5.0, 0.0],
+    ]
+    ahead, left = to_world(points, pose)
 
     assert ahead == pytest.approx([1.0, 7.0, 3.0])
     assert left == pytest.approx([-4.0, 2.0, 3.0])

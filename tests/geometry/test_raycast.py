@@ -115,6 +115,7 @@ def test_rays_against_a_box_are_those_of_the_slab_formula(library, seed):
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_segment_ends_where_it_ends(library, side):
+    """From both sides: walls have no back."""
     caster = build_caster(*wall(10.0), library=library)
     place = np.array([10.0 - 10.0 * side, 0.3, 0.2], dtype=np.float32)
     origins = np.tile(place, (3, 1))
@@ -132,6 +133,7 @@ def test_a_segment_ends_where_it_ends(library, side):
 
 
 def test_the_nearest_of_several_triangles_is_hit_at_its_share_of_the_vector(library):
+    """Short, long, backwards, and from between two walls."""
     vertices = []
     faces = []
     for number, x_m in enumerate((9.0, 3.0, 6.0)):
@@ -191,7 +193,12 @@ def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
         normals = normals_of(corners)
         ahead = products(corners[:, 0] - origins[where], normals)
         speed = products(vectors[where], normals)
-        assert_allclose(ahead, one_share[where] * speed, rtol=1e-3, atol=1e-1)
+        assert_allclose(
+            ahead,
+            one_share[where] * speed,
+            rtol=1e-3,
+            atol=1e-1,
+        )
 
 
 @given(seed=SEEDS)
@@ -224,6 +231,7 @@ def test_the_first_triangle_is_at_the_first_hit_and_in_the_named_plane(library, 
 
 @given(seed=SEEDS)
 def test_blocked_means_that_the_first_hit_comes_before_the_end(library, seed):
+    """Both questions have kernels of their own."""
     rng = np.random.default_rng(seed)
     vertices, triangles = random_triangles(rng)
     caster = build_caster(vertices, triangles, library=library)
@@ -369,8 +377,10 @@ def test_why_open3d_cannot_load_is_told_with_the_remedy(
 
     assert open3d_problem() == reason
     assert caster_name() == "embree"
+
     with refused_with(f"--rays: got 'open3d'; expected a library that loads: {reason}"):
         caster_name("open3d", where="--rays")
+
     with pytest.raises(InputError, match="library: got 'open3d'"):
         build_caster(BOX.vertices, BOX.faces, library="open3d")
 
@@ -389,6 +399,7 @@ def test_open3d_casts_where_embreex_cannot_load_or_it_is_asked_for(monkeypatch):
 
     monkeypatch.setattr(raycast, "embreex_problem", lambda: "embreex cannot load")
     assert caster_name() == "open3d"
+
     with pytest.raises(InputError, match="a library that loads: embreex cannot load"):
         caster_name("embree")
 

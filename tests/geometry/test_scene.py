@@ -124,7 +124,13 @@ def test_an_unknown_class_lists_the_known_ones():
 
 def test_a_lane_needs_points_of_the_plane():
     line = [[1.0, 2.0, 3.0]]
-    message = told(Lane, id="a", kind="driving", width_m=3.0, centreline_m=line)
+    message = told(
+        Lane,
+        id="a",
+        kind="driving",
+        width_m=3.0,
+        centreline_m=line,
+    )
     assert message == "lane a.centreline_m: got shape (1, 3); expected shape (-1, 2)"
 
 
@@ -176,7 +182,12 @@ def test_a_point_lies_in_a_box_if_it_is_between_all_its_sides(
     size_m, middle_m, yaw_deg, share, class_name
 ):
     half = 0.5 * np.array(size_m)
-    body = box(size_m, at=middle_m, yaw_deg=yaw_deg, class_name=class_name)
+    body = box(
+        size_m,
+        at=middle_m,
+        yaw_deg=yaw_deg,
+        class_name=class_name,
+    )
     scene = scene_of(body)
     point = half * share  # relative to the middle of the box
     pose = Pose(position_m=middle_m, yaw_deg=yaw_deg)

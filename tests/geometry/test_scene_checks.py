@@ -34,6 +34,7 @@ def with_things(*meshes, class_name="building", sites=(POLE,)):
         vertices.append(np.asarray(mesh.vertices))
         index.append(np.full(len(mesh.faces), len(instances)))
         instances.append(Instance(id=name, class_name=class_name))
+
     return replace(
         scene,
         vertices_m=np.concatenate(vertices),
@@ -124,11 +125,17 @@ def test_assumed_heights_are_told_with_few_names():
     (finding,) = check_scene(replace(scene, instances=(*things, *scene.instances[9:])))
 
     names = sorted(thing.id for thing in things)
+
     assert finding.what == f"{', '.join(names[:6])} and 3 more"
 
 
 def test_a_footprint_is_what_a_thing_covers_from_above():
-    ring = trimesh.creation.annulus(r_min=2.0, r_max=5.0, height=3.0, sections=64)
+    ring = trimesh.creation.annulus(
+        r_min=2.0,
+        r_max=5.0,
+        height=3.0,
+        sections=64,
+    )
     ring.apply_translation([30.0, 30.0, 1.5])
     scene = with_things(ring)
     footprint = thing_footprint(scene, len(scene.instances) - 1)

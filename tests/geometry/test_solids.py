@@ -38,14 +38,24 @@ def test_a_pole_is_that_of_trimesh(foot_m, height_m, radius_m):
 )
 def test_a_level_arm_is_that_of_trimesh(start_m, yaw_deg, length_m, n_sides):
     yaw = np.radians(yaw_deg)
-    end = np.array(start_m) + length_m * np.array([np.cos(yaw), np.sin(yaw), 0.0])
-    _check_cylinder([list(start_m), end.tolist()], 0.2, n_sides=n_sides)
+    ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    end_m = start_m + length_m * ahead
+    ends = [
+        list(start_m),
+        end_m.tolist(),
+    ]
+    _check_cylinder(ends, 0.2, n_sides=n_sides)
 
 
 def _check_cylinder(ends, radius_m, *, n_sides):
     """A mesh is a closed cylinder with this radius and length."""
     corners, triangles = cylinder_mesh(ends, radius_m=radius_m, n_sides=n_sides)
-    theirs = trimesh.creation.cylinder(radius=radius_m, segment=ends, sections=n_sides)
+    theirs = trimesh.creation.cylinder(
+        radius=radius_m,
+        segment=ends,
+        sections=n_sides,
+    )
+
     np.testing.assert_array_equal(corners, theirs.vertices)
     np.testing.assert_array_equal(triangles, theirs.faces)
     assert theirs.is_watertight

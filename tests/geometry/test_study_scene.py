@@ -104,6 +104,7 @@ def test_lanes_and_outline_are_the_published_ones_flipped_to_the_north(scene):
         assert lane.kind == kind
         assert lane.width_m == width_m
         assert_array_equal(lane.centreline_m, np.array(points) * NORTH)
+
     assert_array_equal(scene.outline_m[[0, 6, 24]], GOLDEN_OUTLINE * NORTH)
     # All others, from the file.
     assert len(scene.lanes) == len(TOWN05["lanes"]) == 32
@@ -111,6 +112,7 @@ def test_lanes_and_outline_are_the_published_ones_flipped_to_the_north(scene):
     for entry in TOWN05["lanes"]:
         line = np.array(entry["centreline_m"]) * NORTH
         assert_array_equal(lanes[entry["id"]].centreline_m, line)
+
     assert_array_equal(scene.outline_m, np.array(TOWN05["outline_m"]) * NORTH)
 
 
@@ -179,7 +181,12 @@ def test_every_path_of_every_run_is_clear_of_all_that_stands(scene, runs):
         high = vertices[:, :2].max(axis=0)
         length_m, width_m = high - low
         middle = 0.5 * (low + high)
-        box = footprint_corners(middle, 0.0, length_m=length_m, width_m=width_m)
+        box = footprint_corners(
+            middle,
+            0.0,
+            length_m=length_m,
+            width_m=width_m,
+        )
         for run in runs:
             for body, position, yaw in (
                 (run.encounter.vut, run.vut_position_m, run.vut_yaw_deg),

@@ -35,7 +35,8 @@ def on_terrain(scene, terrain):
         own = scene.triangles[scene.triangle_instance == index]
         used, place = np.unique(own, return_inverse=True)
         points = scene.vertices_m[used].copy()
-        points[:, 2] += terrain.at(points[:, :2]).min()
+        ground_m = terrain.at(points[:, :2])
+        points[:, 2] += ground_m.min()
         parts.append(points)
         faces.append(place.reshape(-1, 3) + start)
         owner.append(np.full(len(own), len(things)))
@@ -66,10 +67,13 @@ def grid(height_of, *, half_m=200.0, step_m=10.0):
 
 @given(st.integers(0, 2**32 - 1))
 def test_heights_are_those_of_the_mesh(seed):
+    """At random places of each triangle, all of which face up."""
     rng = np.random.default_rng(seed)
+    east_steps_m = rng.uniform(0.5, 3.0, 4)
+    north_steps_m = rng.uniform(0.5, 3.0, 3)
     terrain = Terrain(
-        east_m=np.cumsum(rng.uniform(0.5, 3.0, 4)),
-        north_m=np.cumsum(rng.uniform(0.5, 3.0, 3)),
+        east_m=np.cumsum(east_steps_m),
+        north_m=np.cumsum(north_steps_m),
         height_m=rng.normal(size=(3, 4)),
     )
     vertices, triangles = terrain.mesh()
@@ -78,6 +82,7 @@ def test_heights_are_those_of_the_mesh(seed):
     points = np.einsum("nk,nkj->nj", share, corners)
 
     found_m = terrain.at(points[:, :2])
+
     assert_allclose(found_m, points[:, 2], atol=1e-9)
 
     a, b, c = np.swapaxes(corners, 0, 1)
@@ -96,23 +101,29 @@ def test_beyond_the_grid_heights_are_those_of_its_edge():
 
 
 def test_terrain_of_a_scene_is_that_of_its_ground():
+    """It is read from the mesh, in which nothing says that it is a grid."""
     terrain = grid(lambda east, north: 0.05 * east - 0.02 * north)
     scene = on_terrain(load_scene(), terrain)
     found = terrain_of(scene)
 
+    height_m = ground_height_m(scene, [[20.0, 10.0]])
+
     assert_array_equal(found.height_m, terrain.height_m)
-    assert_allclose(ground_height_m(scene, [[20.0, 10.0]]), [0.8])
+    assert_allclose(height_m, [0.05 * 20.0 - 0.02 * 10.0])
 
 
 def test_a_plane_at_zero_is_no_terrain():
     scene = load_scene()
     level = grid(lambda east, north: 0.0 * east)
 
+    laid = on_terrain(scene, level)
+
     assert terrain_of(scene) is None
-    assert terrain_of(on_terrain(scene, level)) is None
+    assert terrain_of(laid) is None
 
 
 def test_ground_that_is_no_grid_is_refused():
+    """One corner is moved."""
     scene = load_scene()
     vertices = scene.vertices_m.copy()
     ground = scene.triangles[scene.triangle_instance == 0][0, 0]
@@ -130,26 +141,26 @@ def test_ground_that_is_no_grid_is_refused():
 @given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
 def test_fit_of_points_on_a_plane_is_that_plane(a, b):
     rng = np.random.default_rng(0)
-    flat = rng.uniform(-120.0, 120.0, size=(2000, 2))
-    flat = np.concatenate(
-        [
-            flat,
-            [
-                [-120, -120],
-                [-120, 120],
-                [120, -120],
-                [120, 120],
-            ],
-        ]
-    )
-    points = np.column_stack([flat, flat @ [a, b]])
+    scattered = rng.uniform(-120.0, 120.0, size=(2000, 2))
+    corners = [
+        [-120.0, -120.0],
+        [-120.0, 120.0],
+        [120.0, -120.0],
+        [120.0, 120.0],
+    ]
+    flat = np.concatenate([scattered, corners])
+    heights_m = flat @ [a, b]
+    points = np.column_stack([flat, heights_m])
     terrain = fit_terrain(points, half_m=100.0, step_m=4.0)
     inside = rng.uniform(-99.0, 99.0, size=(500, 2))
+    found_m = terrain.at(inside)
+    expected_m = inside @ [a, b]
 
-    assert_allclose(terrain.at(inside), inside @ [a, b], atol=2e-3)
+    assert_allclose(found_m, expected_m, atol=2e-3)
 
 
 def test_fit_of_points_on_a_line_is_that_of_the_nearest():
+    """To the side of the line, the ground is as high as its nearest point."""
     points = np.outer(np.arange(-50.0, 51.0), [1.0, 0.0, 0.1])
     terrain = fit_terrain(points, half_m=20.0, step_m=2.0)
 
@@ -162,6 +173,7 @@ def test_fit_of_points_on_a_line_is_that_of_the_nearest():
 
 
 def test_a_check_on_a_slope_finds_what_does_not_stand_on_it():
+    """Heights count from the ground below, not from zero."""
     slope = grid(lambda east, north: 0.02 * east)
     scene = on_terrain(load_scene(), slope)
     known = check_scene(load_scene())
@@ -185,10 +197,21 @@ def test_runs_on_a_slope_are_those_of_the_plane_with_parked_cars_on_the_ground(
     terrain = grid(lambda east, north: 0.04 * (east - 100.0), half_m=400.0)
     slope = on_terrain(scene, terrain)
     cases = select_cases("CPNCO-50,CBNA", speeds="20").cases
-    flat, _ = build_runs(scene, cases, vut=actors["vut"], rule=rule)
-    sloped, _ = build_runs(slope, cases, vut=actors["vut"], rule=rule)
+    flat, _ = build_runs(
+        scene,
+        cases,
+        vut=actors["vut"],
+        rule=rule,
+    )
+    sloped, _ = build_runs(
+        slope,
+        cases,
+        vut=actors["vut"],
+        rule=rule,
+    )
 
     assert [run.id for run in sloped] == [run.id for run in flat]
+
     for one, other in zip(flat, sloped, strict=True):
         assert other.last_brake_time_s == one.last_brake_time_s
         assert_array_equal(other.vru_position_m, one.vru_position_m)
@@ -196,4 +219,5 @@ def test_runs_on_a_slope_are_those_of_the_plane_with_parked_cars_on_the_ground(
             up_m = 0.04 * (body.pose.position_m[0] - 100.0)
             expected = body.pose.position_m + [0.0, 0.0, up_m]
             assert_allclose(raised.pose.position_m, expected, atol=1e-9)
+
     assert any(run.obstruction for run in sloped)

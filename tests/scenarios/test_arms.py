@@ -28,6 +28,7 @@ def junction_with(turns=(), connections=()):
     for before, after in connections:
         line = [named[before].centreline_m[-1], named[after].centreline_m[0]]
         lanes.append(build_lane(f"{before} {after}", line, kind="connecting"))
+
     return build_junction(build_scene(lanes))
 
 
@@ -36,7 +37,12 @@ def entries(junction, movement):
     tried.
     """
     into = junction.arms[MOVEMENTS[movement]]
-    found = joints(junction, junction.arms["west"], into, movement)
+    found = joints(
+        junction,
+        junction.arms["west"],
+        into,
+        movement,
+    )
     return list(dict.fromkeys(before.id for before, _, _ in found))
 
 

@@ -28,15 +28,22 @@ def with_corner(angle_deg, *, before_m=40.0):
 
 @pytest.mark.parametrize("angle_deg", [-150.0, 25.0, 60.0])
 def test_a_corner_is_driven_no_faster_than_it_can_be(lay, vut, angle_deg):
+    """4 m/s^2 to the side at most; faster runs are refused with the speed allowed."""
     scene, lane = with_corner(angle_deg)
     speeds = (20.0, 30.0, 60.0)
-    runs, refusals = lay(scene, ["CBLA-50"], speeds_kmh=speeds, approaches=["west"])
+    runs, refusals = lay(
+        scene,
+        ["CBLA-50"],
+        speeds_kmh=speeds,
+        approaches=["west"],
+    )
 
     n_refused = sum(len(one.speeds_kmh) for one in refusals)
 
     assert len(runs) + n_refused == len(speeds)
     # 60 km/h is too fast.
     assert refusals
+
     for run in runs:
         aside_mps2 = lateral_mps2(run.encounter.vut_motion, run.encounter.vut)
         assert aside_mps2 <= load_way_rules().max_lateral_mps2
@@ -65,7 +72,12 @@ def test_a_corner_is_driven_no_faster_than_it_can_be(lay, vut, angle_deg):
 def test_kinks_that_a_car_takes_within_its_lane_cost_no_run(lay):
     scene, _ = with_corner(10.0)
     speeds = (25.0, 60.0)
-    runs, refusals = lay(scene, ["CBLA-50"], speeds_kmh=speeds, approaches=["west"])
+    runs, refusals = lay(
+        scene,
+        ["CBLA-50"],
+        speeds_kmh=speeds,
+        approaches=["west"],
+    )
 
     assert len(runs) == 2
     assert not refusals
@@ -83,6 +95,7 @@ def test_a_gentle_course_bends_less_and_stays_as_near_as_it_must(angle_deg, free
 
     # Samples lie 0.5 m apart.
     off_m = distance_to_chain_m(points[::50], chain)
+
     assert off_m.max() <= free_m + 0.07
 
     if abs(angle_deg) > 1.0 and free_m > 0.3:

@@ -53,6 +53,7 @@ def test_nobody_parks_on_the_bus_lane(scene, runs):
     parked = [body for run in runs for body in run.obstruction]
 
     assert {"parked-car-large"} <= {body.actor.name for body in parked}
+
     for body in parked:
         assert not lanes.intersects(shapely.Polygon(body.footprint_m))
 

@@ -63,7 +63,14 @@ def separation_m(*bodies):
     """Of two rectangles by their corners: middle, yaw, length and width of each."""
     corners = []
     for middle, yaw, length, width in (bodies[:4], bodies[4:]):
-        corners.append(footprint_corners(middle, yaw, length_m=length, width_m=width))
+        corners.append(
+            footprint_corners(
+                middle,
+                yaw,
+                length_m=length,
+                width_m=width,
+            )
+        )
     return footprint_separation(*corners)
 
 
@@ -94,20 +101,37 @@ angles = st.floats(-180.0, 180.0)
 @given(places, velocities, angles, angles)
 @settings(max_examples=60)
 def test_time_to_collision_is_what_small_steps_find(offset, closing, yaw_a, yaw_b):
+    """Until then the boxes are apart; then they are as near as a step allows."""
     sizes = FootprintSizes(
         length_a_m=4.0,
         width_a_m=2.0,
         length_b_m=1.5,
         width_b_m=0.5,
     )
-    found_s = time_to_collision_s(offset, closing, yaw_a, yaw_b, sizes=sizes)
+    found_s = time_to_collision_s(
+        offset,
+        closing,
+        yaw_a,
+        yaw_b,
+        sizes=sizes,
+    )
     ttc = float(found_s)
     times = np.arange(0.0, 6.0, 0.01)
     there = np.add(offset, times[:, None] * closing)
-    apart = separation_m((0.0, 0.0), yaw_a, 4.0, 2.0, there, yaw_b, 1.5, 0.5)
+    apart = separation_m(
+        (0.0, 0.0),
+        yaw_a,
+        4.0,
+        2.0,
+        there,
+        yaw_b,
+        1.5,
+        0.5,
+    )
     moved_m = 0.01 * math.hypot(*closing) + 1.0e-9
 
     assert (apart[times < ttc] > -1.0e-9).all()
+
     if ttc < 6.0:
         look = min(round(ttc / 0.01), len(times) - 1)
         assert apart[look] <= moved_m
@@ -116,6 +140,7 @@ def test_time_to_collision_is_what_small_steps_find(offset, closing, yaw_a, yaw_
 
 
 def test_who_is_on_collision_course_is_replayed_as_if_nothing_changed():
+    """His track ends at 2.8 s; replayed, he walks on to the impact at 4 s."""
     # His box is 0.6 m long: without stopping the front reaches it when he is in the
     # middle.
     found = find_one(car(front_at_s=4.0, x_m=0.3 - 0.25), walker(last_s=2.8))
@@ -135,6 +160,7 @@ def test_who_is_on_collision_course_is_replayed_as_if_nothing_changed():
 
 
 def test_those_who_do_not_come_near_are_no_encounter():
+    """Too early, no car among them, backwards; and tracks too short are counted."""
     late = walker(at_lane_s=1.0)  # long across before the car comes
     reversing = car(yaw_deg=180.0)
 
@@ -160,7 +186,13 @@ def test_those_who_do_not_come_near_are_no_encounter():
     ],
 )
 def test_who_stands_all_the_time_faces_where_the_file_says(heading_deg, faces_deg):
-    stands = track("p", "pedestrian", lambda _: (0.3, -1.75), yaw_deg=heading_deg)
+    """Or to the east where it says nothing."""
+    stands = track(
+        "p",
+        "pedestrian",
+        lambda _: (0.3, -1.75),
+        yaw_deg=heading_deg,
+    )
     found = find_one(car(last_s=3.8), stands)
 
     assert found.vru_speed_kmh == 0.0
@@ -173,6 +205,7 @@ def test_who_stands_all_the_time_faces_where_the_file_says(heading_deg, faces_de
 
 
 def test_who_passes_near_is_replayed_without_the_time_between():
+    """Both come to the place where their ways cross, but now at the same time."""
     passes = [car(front_at_s=4.0), walker(at_lane_s=2.0, last_s=8.0)]
     assert find_encounters(passes, ttc_s=0.5)[0] == ()
 
@@ -246,12 +279,14 @@ def least_time_s(one, other):
         touching = np.flatnonzero(apart <= 0.0)
         if len(touching):
             best = min(best, steps[touching[0]])
+
     return best
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 def test_pairs_are_those_that_brute_force_finds(seed):
+    """Pairs at the very limit may be found or not: 1.98 s, not 2 s."""
     tracks = random_tracks(np.random.default_rng(seed))
     found, left_out = find_encounters(tracks, ttc_s=2.0)
 
@@ -266,6 +301,7 @@ def test_pairs_are_those_that_brute_force_finds(seed):
 
     assert pairs <= maybe
     assert len(expected - pairs) <= sum(left_out.values())
+
     for one in found:
         least_s = least[one.vehicle.id, one.vru.id]
         assert one.ttc_s == pytest.approx(least_s, abs=0.011)
@@ -283,10 +319,17 @@ def cases_file(tmp_path):
 
 def lay_recorded(cases, **options):
     """Runs of cases at the place where they were recorded, and what is refused."""
-    return build_runs(protocol_scene(), cases, vut=VUT, rule=RULE, **options)
+    return build_runs(
+        protocol_scene(),
+        cases,
+        vut=VUT,
+        rule=RULE,
+        **options,
+    )
 
 
 def test_a_file_of_encounters_is_a_set_of_cases(cases_file):
+    """It is driven once, at the recorded speeds, where it was recorded."""
     (case,) = load_own_cases(cases_file).values()
     assert case.name == "street-v-p"
     assert case.kind == "recorded"
@@ -311,6 +354,7 @@ def test_a_file_of_encounters_is_a_set_of_cases(cases_file):
 
 
 def test_recorded_cases_stay_where_they_were(cases_file):
+    """No other approach, no other junction, and no impact where the paths part."""
     (case,) = load_own_cases(cases_file).values()
     runs, _ = lay_recorded([case], approaches=["east"])
 
@@ -354,6 +398,7 @@ def test_damaged_encounters_are_refused_in_one_line(cases_file, before, after, m
     cases_file.write_text(text.replace(before, after))
     with pytest.raises(InputError, match="street-v-p") as caught:
         load_own_cases(cases_file)
+
     assert message in str(caught.value)
 
 

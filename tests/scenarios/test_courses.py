@@ -21,23 +21,35 @@ LANE_M = 3.5
 def circle(radius_m, *, step_m=1.0, turn_deg=150.0):
     """Points of a lane that turns left round the origin, from the east on."""
     angle = np.arange(0.0, np.radians(turn_deg), step_m / radius_m)
-    return radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    on_circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return radius_m * on_circle
+
+
+def lengths_m(steps):
+    """Lengths of vectors."""
+    return np.linalg.norm(steps, axis=-1)
+
+
+def length_of_m(points):
+    """Length of a way from point to point."""
+    return lengths_m(np.diff(points, axis=0)).sum()
 
 
 @pytest.mark.parametrize("radius_m", [12.0, 30.0, 120.0])
 def test_a_course_along_a_circle_has_its_radius_heading_and_length(radius_m):
+    """Courses are smoothed, and lanes are chords: both keep within the slack."""
     points = circle(radius_m)
     course = follow_lane(points, is_in=True)
-    length_m = np.linalg.norm(np.diff(points, axis=0), axis=-1).sum()
-    stations = np.linspace(-0.62, -0.38, 50) * length_m  # away from the ends
+    # Away from the ends.
+    shares = np.linspace(-0.62, -0.38, 50)
+    stations = shares * length_of_m(points)
     position, yaw_rad = course.at(stations)
 
     # Between its points the lane is a chord, 1 / (8 R) metres inside; smoothing takes
     # 16 / R^3.
     slack_m = 0.125 / radius_m + 17.0 / radius_m**3
-    found_m = np.linalg.norm(position, axis=-1)
 
-    assert found_m == pytest.approx(radius_m, abs=slack_m)
+    assert lengths_m(position) == pytest.approx(radius_m, abs=slack_m)
 
     east, north = position.T
     angle = np.unwrap(np.arctan2(north, east))
@@ -69,8 +81,10 @@ def test_two_bodies_on_a_circle_touch_when_their_corners_do(actors):
         vru=body,
         vru_motion=motion(-55.0 + ahead_m, slow_mps),
     )
-    corner = np.arctan2(0.5 * body.length_m, radius_m - 0.5 * body.width_m)
-    contact_s = -3.0 + (ahead_m - 2.0 * corner * radius_m) / (fast_mps - slow_mps)
+    inner_m = radius_m - 0.5 * body.width_m
+    corner = np.arctan2(0.5 * body.length_m, inner_m)
+    gap_m = ahead_m - 2.0 * corner * radius_m
+    contact_s = -3.0 + gap_m / (fast_mps - slow_mps)
 
     assert first_contact_s(encounter) == pytest.approx(contact_s, abs=2e-3)
 
@@ -84,8 +98,15 @@ def test_two_bodies_on_a_circle_touch_when_their_corners_do(actors):
     ],
 )
 def test_a_turn_between_straight_lanes_is_the_protocols(side, speed_kmh):
+    """The protocol's curve and the body towed along the course are the same way."""
     turn = pick_turn(side, speed_kmh)
-    entry = follow_lane(np.array([[-80.0, 0.0], [0.0, 0.0]]), is_in=True)
+    into = np.array(
+        [
+            [-80.0, 0.0],
+            [0.0, 0.0],
+        ]
+    )
+    entry = follow_lane(into, is_in=True)
     out = np.array(
         [
             [25.0, 25.0 * turn.side],
@@ -115,6 +136,7 @@ def test_a_turn_between_straight_lanes_is_the_protocols(side, speed_kmh):
 
 
 def test_a_straight_lane_gives_a_straight_course():
+    """It goes on beyond both ends of the lane in the same direction."""
     line = Line(point_m=[3.0, -2.0], direction=[3.0, 4.0])
     points = []
     for along_m in (-60.0, -20.0, -19.0, 0.0):
@@ -134,6 +156,7 @@ def test_a_straight_lane_gives_a_straight_course():
 
 
 def test_lanes_one_after_the_other_are_one_course_with_its_origin_between_them():
+    """The kink between both is rounded off by at most a quarter of a metre."""
     first = np.array(
         [
             [-40.0, 0.0],
@@ -161,8 +184,10 @@ def test_a_lane_without_length_has_no_course():
 
 
 def test_beside_a_bend_sharper_than_asked_for_there_is_no_course():
+    course = follow_lane(circle(12.0), is_in=True)
+
     with pytest.raises(InputError, match="left_m: got 14"):
-        follow_lane(circle(12.0), is_in=True).offset(14.0)
+        course.offset(14.0)
 
 
 @st.composite
@@ -187,8 +212,9 @@ def lanes(draw):
 
 @given(lane=lanes(), is_in=st.booleans(), body=st.sampled_from(["vru", "vut"]))
 def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
+    """A path's turning, and how fast this changes, keep below what the path says."""
     course = follow_lane(lane, is_in=is_in)
-    length_m = np.linalg.norm(np.diff(lane, axis=0), axis=-1).sum()
+    length_m = length_of_m(lane)
     if is_in:
         begin_m = -length_m
     else:
@@ -199,14 +225,16 @@ def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
     else:
         path = TowedPath(course=course, start_m=begin_m + 1.3, **AXLES)
     step_m = 0.25
-    distances = np.arange(0.0, 0.99 * length_m - 2.0, step_m)
+    end_m = 0.99 * length_m - 2.0
+    distances = np.arange(0.0, end_m, step_m)
     position, yaw_deg = path.at(distances)
 
     off_m = distance_to_chain_m(position, lane)
+
     # A body 1.8 m wide stays in its lane.
     assert off_m.max() <= 0.5 * LANE_M - 0.9
 
-    steps_m = np.linalg.norm(np.diff(position, axis=0), axis=-1)
+    steps_m = lengths_m(np.diff(position, axis=0))
     assert steps_m.max() <= step_m + 1e-9
 
     turns = np.diff(np.radians(yaw_deg)) / step_m
@@ -216,13 +244,14 @@ def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
     assert np.abs(changes).max() <= path.max_turn_change_rad_per_m2 + 1e-6
 
     bends = np.diff(position, n=2, axis=0) / step_m**2
-    sharpest_per_m = np.linalg.norm(bends, axis=-1).max()
+    sharpest_per_m = lengths_m(bends).max()
 
     assert sharpest_per_m <= 3.0 * path.max_turn_rad_per_m + 1e-3
 
 
 @given(lane=lanes(), left_m=st.floats(-4.0, 4.0))
 def test_the_course_beside_another_keeps_its_distance_and_direction(lane, left_m):
+    """Driven the other way, a course has the same places and opposite directions."""
     course = follow_lane(lane, is_in=True)
     beside = course.offset(left_m)
     station = 0.3 * course.begin_m

@@ -62,8 +62,9 @@ together = encounters().map(set_off_together)
 
 def moving(start_m, yaw_deg, speed_mps, **more):
     """A motion straight on, by default from 0 s."""
+    more.setdefault("start_time_s", 0.0)
     path = StraightPath(start_m=start_m, yaw_deg=yaw_deg)
-    return Motion(path=path, speed_mps=speed_mps, **{"start_time_s": 0.0} | more)
+    return Motion(path=path, speed_mps=speed_mps, **more)
 
 
 def met(vut_motion, vru_motion, vru=ADULT):
@@ -86,14 +87,26 @@ def turning():
         wheelbase_m=2.85,
         front_axle_ahead_m=1.45,
     )
-    walks = moving([15.5, 9.0], 0.0, 1.4, start_time_s=0.5, acceleration_distance_m=1.0)
-    return met(Motion(path=path, speed_mps=15.0 / 3.6, start_time_s=0.0), walks)
+    walks = moving(
+        [15.5, 9.0],
+        0.0,
+        1.4,
+        start_time_s=0.5,
+        acceleration_distance_m=1.0,
+    )
+    turns = Motion(
+        path=path,
+        speed_mps=15.0 / 3.6,
+        start_time_s=0.0,
+    )
+    return met(turns, walks)
 
 
 # Encounter
 
 
 def test_separation_is_that_of_the_bodies_corners():
+    """At every pair of two distances, by the corners of the rectangles."""
     encounter = turning()
     vut_distance = np.linspace(0.0, 30.0, 7)[:, None]
     vru_distance = np.linspace(0.0, 9.0, 5)
@@ -106,10 +119,20 @@ def test_separation_is_that_of_the_bodies_corners():
         (encounter.vut, encounter.vut_motion, vut_distance),
         (encounter.vru, encounter.vru_motion, vru_distance),
     ):
-        size = {"length_m": body.length_m, "width_m": body.width_m}
-        corners.append(footprint_corners(*motion.path.at(distance), **size))
+        position, yaw_deg = motion.path.at(distance)
+        corners.append(
+            footprint_corners(
+                position,
+                yaw_deg,
+                length_m=body.length_m,
+                width_m=body.width_m,
+            )
+        )
 
-    assert separation == pytest.approx(footprint_separation(*corners), abs=1e-9)
+    ours, theirs = corners
+    expected = footprint_separation(ours, theirs)
+
+    assert separation == pytest.approx(expected, abs=1e-9)
 
 
 @given(
@@ -121,6 +144,7 @@ def test_separation_is_that_of_the_bodies_corners():
 def test_between_two_looks_gaps_sag_no_deeper_than_declared(
     middle_s, onset_s, half_s, build_up_s
 ):
+    """The search may skip what lies between: gaps bend no more than is declared."""
     encounter = turning()
     vut = encounter.vut_motion
     vru = encounter.vru_motion
@@ -135,13 +159,16 @@ def test_between_two_looks_gaps_sag_no_deeper_than_declared(
     separation = gaps.max(axis=0)
 
     if separation[0] <= encounter.near_m:
-        ends = gaps[:, [0, -1]].min(axis=1).max()
-        sag_m = 0.5 * encounter.max_gap_bend_mps2(rule.deceleration_mps2) * half_s**2
+        ends = gaps[:, [0, -1]].min(axis=1)
+        bend_mps2 = encounter.max_gap_bend_mps2(rule.deceleration_mps2)
+        sag_m = 0.5 * bend_mps2 * half_s**2
+        least_m = ends.max() - sag_m
         # Overlaps may be deeper.
-        assert ends - sag_m <= 0.0 or separation.min() >= ends - sag_m - 1e-6
+        assert least_m <= 0.0 or separation.min() >= least_m - 1e-6
 
 
 def test_a_vut_that_sets_off_from_rest_is_refused():
+    """Its way until it brakes must be speed by time."""
     encounter = turning()
     motion = replace(encounter.vut_motion, acceleration_distance_m=2.0)
     with refused_with(
@@ -156,6 +183,7 @@ def test_a_vut_that_sets_off_from_rest_is_refused():
 
 @given(together, numbers(-30.0, 30.0))
 def test_bodies_built_to_touch_at_time_0_first_touch_then(encounter, later_s):
+    """And when both set off later, they touch as much later."""
     assert first_contact_s(encounter) == pytest.approx(0.0, abs=1e-6)
     both_later = later(encounter, later_s, later_s)
     assert first_contact_s(both_later) == pytest.approx(later_s, abs=1e-6)
@@ -163,6 +191,7 @@ def test_bodies_built_to_touch_at_time_0_first_touch_then(encounter, later_s):
 
 @given(together, numbers(-0.3, 0.3))
 def test_first_contact_is_the_first_of_many_looks(encounter, later_s):
+    """Looked at every 0.1 ms; a shorter touch may be found, too."""
     encounter = later(encounter, 0.0, later_s)
     time = np.arange(-1.0, 2.0, 1e-4)
     touches = separation_at(encounter, time) <= 0.0
@@ -170,7 +199,8 @@ def test_first_contact_is_the_first_of_many_looks(encounter, later_s):
 
     if touches.any():
         first = int(np.argmax(touches))
-        assert time[max(first - 1, 0)] - 1e-6 <= contact_s <= time[first] + 1e-6
+        before = max(first - 1, 0)
+        assert time[before] - 1e-6 <= contact_s <= time[first] + 1e-6
     elif contact_s <= time[-1]:  # a touch between two looks
         nearby = contact_s + np.array([0.0, 1e-7])
         assert separation_at(encounter, nearby).min() <= 1e-6
@@ -185,6 +215,7 @@ def test_first_contact_on_a_turn_is_the_first_of_many_looks():
 
 
 def test_a_short_touch_of_two_corners_is_not_overlooked():
+    """It takes less than a microsecond; a micrometre farther there is none."""
     # Crossing at right angles; the VRU's rear corner passes the VUT's front corner 1
     # micrometre inside.
     v = 15.0
@@ -199,8 +230,11 @@ def test_a_short_touch_of_two_corners_is_not_overlooked():
         other = moving([x, y - inside_m], 90.0, u)
         return met(one, other)
 
-    assert first_contact_s(encounter(depth_m)) == pytest.approx(leaves_s, abs=1e-6)
-    assert first_contact_s(encounter(-depth_m)) == np.inf
+    inside = encounter(depth_m)
+    outside = encounter(-depth_m)
+
+    assert first_contact_s(inside) == pytest.approx(leaves_s, abs=1e-6)
+    assert first_contact_s(outside) == np.inf
 
 
 @pytest.mark.parametrize(
@@ -218,13 +252,19 @@ def test_bodies_that_never_touch_have_no_first_contact(yaw_deg, speed_mps):
 
 
 def test_a_late_contact_is_found_and_one_from_the_start_is_at_the_start():
+    """The car comes nearer by 0.1 m/s only."""
     length_m = 0.5 * (VUT.length_m + ADULT.length_m)
     ahead = moving([length_m + 40.0, 0.0], 0.0, 2.0)
     slow = met(moving([0.0, 0.0], 0.0, 2.1), ahead)
 
     assert first_contact_s(slow) == pytest.approx(400.0, abs=1e-6)
 
-    early = moving([1.0, 0.0], 0.0, 2.0, start_time_s=-7.0)
+    early = moving(
+        [1.0, 0.0],
+        0.0,
+        2.0,
+        start_time_s=-7.0,
+    )
     at_once = replace(slow, vru_motion=early)
 
     assert first_contact_s(at_once) == pytest.approx(-7.0, abs=1e-6)

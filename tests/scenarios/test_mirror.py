@@ -15,7 +15,12 @@ from scenarios.runs import build_runs
 
 FLIP = np.array([1.0, -1.0])
 FLIP_IN_SPACE = np.array([1.0, -1.0, 1.0])
-OTHER_SIDE = {"east": "east", "north": "south", "west": "west", "south": "north"}
+OTHER_SIDE = {
+    "east": "east",
+    "north": "south",
+    "west": "west",
+    "south": "north",
+}
 
 
 def left_handed(scene):
@@ -40,22 +45,38 @@ def drive(scene, cases="study,protocol-4.5.1,protocol-2026", speeds="20,50"):
     # Not "all", where impact points take turns, in another order of the arms.
     chosen = select_cases(cases, speeds=speeds).cases
     vut = pick_actor("vut", "vut")
-    return build_runs(scene, chosen, vut=vut, rule=load_aeb_rule())
+    return build_runs(
+        scene,
+        chosen,
+        vut=vut,
+        rule=load_aeb_rule(),
+    )
 
 
 def assert_mirrored(found_m, positions_m):
     """Positions are those of the other side."""
-    assert_allclose(found_m, positions_m * FLIP, rtol=0.0, atol=1e-6)
+    assert_allclose(
+        found_m,
+        positions_m * FLIP,
+        rtol=0.0,
+        atol=1e-6,
+    )
 
 
 def assert_turned_back(found_deg, yaws_deg):
     """Each yaw is the negative of the other, but for full turns."""
     turn = np.radians(found_deg + yaws_deg)
-    assert_allclose(np.cos(turn), 1.0, rtol=0.0, atol=1e-6)
+    assert_allclose(
+        np.cos(turn),
+        1.0,
+        rtol=0.0,
+        atol=1e-6,
+    )
 
 
 @pytest.mark.long
 def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_on_the_right():
+    """Every run has one twin, from the arm that the mirror swaps with its own."""
     corner = ("corner", 18.0, 18.0, 6.0, 6.0, 3.0)
     scene = protocol_scene(boxes=[corner], crosswalks_m=[[[14.0, -6.0], [14.0, 6.0]]])
     right, refused = drive(scene)
@@ -86,10 +107,12 @@ def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_on_the_ri
 @pytest.mark.long
 @pytest.mark.parametrize("change", [replace, left_handed])
 def test_titles_say_to_which_side_the_vut_turns(change):
+    """Near and far side are right and left, or left and right."""
     names = {"CPTAfs-50", "CBTAfs-side", "CPTAns-50", "CBTAns-0"}
     runs, _ = drive(change(protocol_scene()), ",".join(names), "10")
 
     assert {run.case.name for run in runs} == names
+
     for run in runs:
         turned_deg = (run.vut_yaw_deg[-1] - run.vut_yaw_deg[0] + 180.0) % 360.0 - 180.0
         if turned_deg > 5.0:
@@ -105,11 +128,13 @@ def test_titles_say_to_which_side_the_vut_turns(change):
 
 
 def test_a_junction_in_two_mirrors_is_itself_again():
+    """Lanes in and out, and crosswalks, arm by arm."""
     junction = build_junction(build_scene(lanes_of("a", 10.0, n_lanes=2)))
     twice = mirrored(mirrored(junction))
 
     assert mirrored(junction).keeps_left
     assert not twice.keeps_left
+
     for name, arm in twice.arms.items():
         was = junction.arms[name]
         assert arm.crosswalk.point_m == pytest.approx(was.crosswalk.point_m)

@@ -123,6 +123,7 @@ def test_cars_park_and_people_walk_below_what_is_raised(parked, bottom_m, is_fre
     bodies, refusals = parked(replace(scene, vertices_m=scene.vertices_m + up))
 
     assert bool(bodies) == is_free == (not refusals)
+
     if is_free:
         free, _ = parked(SCENE)
         assert places(bodies) == places(free)

@@ -189,7 +189,12 @@ def motion_of(speed_mps, start_time_s=0.0, acceleration_distance_m=0.0):
     )
 
 
-@given(speeds, numbers(-20.0, 0.0), numbers(-30.0, 10.0), numbers(0.0, 10.0))
+@given(
+    speeds,
+    numbers(-20.0, 0.0),
+    numbers(-30.0, 10.0),
+    numbers(0.0, 10.0),
+)
 def test_a_motion_stands_until_its_start_and_then_keeps_its_speed(
     speed, start_s, time_s, later_s
 ):
@@ -202,7 +207,12 @@ def test_a_motion_stands_until_its_start_and_then_keeps_its_speed(
     assert motion.distance_m(start_s) == 0.0
 
 
-@given(speeds, numbers(0.1, 10.0), numbers(0.0, 1.0), numbers(0.0, 10.0))
+@given(
+    speeds,
+    numbers(0.1, 10.0),
+    numbers(0.0, 1.0),
+    numbers(0.0, 10.0),
+)
 def test_a_motion_from_rest_reaches_its_speed_after_twice_the_distance_over_the_speed(
     speed, acceleration_m, share, later_s
 ):

@@ -2,7 +2,6 @@
 
 import dataclasses
 import re
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -48,7 +47,12 @@ CASES = load_cases()
 # One of each kind: years and impact points are laid alike.
 FREE = {case.family: name for name, case in CASES.items() if not is_bound(case)}
 CROSSWALK_M = MOUTH_M - 2.0  # from the middle of the protocol's junction
-OPPOSITE = {"east": "west", "north": "south", "west": "east", "south": "north"}
+OPPOSITE = {
+    "east": "west",
+    "north": "south",
+    "west": "east",
+    "south": "north",
+}
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +80,8 @@ def laid(lay):
 def impact_point(run):
     """Where the VRU's middle is at the impact."""
     motion = run.encounter.vru_motion
-    return motion.path.at(motion.distance_m(0.0))[0]
+    place, _ = motion.path.at(motion.distance_m(0.0))
+    return place
 
 
 def lane_of(scene, name):
@@ -98,9 +103,15 @@ def assert_same_frames(one, other, *, by=(0.0, 0.0), tolerance_m=0.0):
 
 
 def test_the_default_set_holds_the_cases_of_the_study():
-    assert load_case_sets()["default"] == load_case_sets()["study"]
-    assert pick_positions("", "study") == pick_positions("0", "default") == (AT_ZERO,)
-    assert pick_positions("", "default") == pick_positions("0,15,30,45", "study")
+    """At four distances from the crosswalk, of which the study has only the first."""
+    sets = load_case_sets()
+    assert sets["default"] == sets["study"]
+
+    four = pick_positions("0,15,30,45", "study")
+    assert pick_positions("", "study") == (AT_ZERO,)
+    assert pick_positions("0", "default") == (AT_ZERO,)
+    assert pick_positions("", "default") == four
+
     assert is_study_set(" study")
     assert not is_study_set("study,CBNA")
     assert default_weights("study") == "run"
@@ -110,26 +121,39 @@ def test_the_default_set_holds_the_cases_of_the_study():
 # Quickly: the test above, and tests/placement/test_driving.py.
 @pytest.mark.long
 def test_the_default_question_has_four_to_six_hundred_runs_with_an_id_each(lay):
+    """Every speed that is wanted is a run or refused."""
     cases = select_cases("default").cases
     every = pick_positions("", "default")
     runs, refusals = lay(load_study_scene(), cases, positions=every)
 
-    assert 450 <= len(runs) <= 600
-    assert len({run.id for run in runs}) == len(runs)
-    assert all(len(run.time_s) > 1 and run.time_s[-1] <= 0.0 for run in runs)
+    ids = {run.id for run in runs}
 
-    laid_at = Counter(run.position for run in runs)
-    assert set(laid_at) == {position.name for position in every}
+    assert 450 <= len(runs) <= 600
+    assert len(ids) == len(runs)
+
+    for run in runs:
+        assert len(run.time_s) > 1
+        assert run.time_s[-1] <= 0.0
+
+    laid_at = {run.position for run in runs}
+    names = {position.name for position in every}
+
+    assert laid_at == names
 
     # What is not driven is told.
     wanted = 0
     for case in cases:
         for arm in range(4):
             for number, position in enumerate(positions_of(case, every)):
-                turn = arm + number
-                wanted += len(spread_speeds(case.vut_speeds_kmh, position, turn=turn))
+                speeds_kmh = spread_speeds(
+                    case.vut_speeds_kmh,
+                    position,
+                    turn=arm + number,
+                )
+                wanted += len(speeds_kmh)
 
-    assert wanted == len(runs) + sum(len(refusal.speeds_kmh) for refusal in refusals)
+    n_refused = sum(len(refusal.speeds_kmh) for refusal in refusals)
+    assert wanted == len(runs) + n_refused
 
 
 # Where
@@ -145,10 +169,16 @@ def test_the_default_question_has_four_to_six_hundred_runs_with_an_id_each(lay):
 def test_on_straight_lanes_a_run_is_that_of_zero_moved_along(
     laid, name, metres, is_behind, speed_kmh
 ):
+    """Before the junction and behind it, bodies beside included."""
     scene = protocol_scene()
     (here,), _ = laid(scene, name, "0", speeds=(speed_kmh,))
     position = Position(is_behind=is_behind, distance_m=metres)
-    runs, refusals = laid(scene, name, position, speeds=(speed_kmh,))
+    runs, refusals = laid(
+        scene,
+        name,
+        position,
+        speeds=(speed_kmh,),
+    )
 
     if refusals:  # nobody parks in the junction
         assert is_behind
@@ -161,8 +191,15 @@ def test_on_straight_lanes_a_run_is_that_of_zero_moved_along(
     if is_behind:
         by = np.array([2.0 * CROSSWALK_M + metres, 0.0])
 
-    assert_same_frames(there, here, by=by, tolerance_m=1e-6)
-    assert there.last_brake_time_s == pytest.approx(here.last_brake_time_s, abs=1e-6)
+    assert_same_frames(
+        there,
+        here,
+        by=by,
+        tolerance_m=1e-6,
+    )
+    last_s = here.last_brake_time_s
+    assert there.last_brake_time_s == pytest.approx(last_s, abs=1e-6)
+
     if here.obstruction and not is_behind:
         for one, other in zip(there.obstruction, here.obstruction, strict=True):
             moved = one.pose.position_m[:2] - other.pose.position_m[:2]
@@ -183,10 +220,17 @@ def test_on_straight_lanes_a_run_is_that_of_zero_moved_along(
 def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(
     laid, name, approach, metres
 ):
+    """On its way it keeps to the lanes in and out of the junction."""
     scene = load_study_scene()
     arms = build_junction(scene).arms
     arm = arms[OPPOSITE[approach]]
-    (run,), _ = laid(scene, name, f"+{metres}", approach=approach, speeds=(60.0,))
+    (run,), _ = laid(
+        scene,
+        name,
+        f"+{metres}",
+        approach=approach,
+        speeds=(60.0,),
+    )
     leaving = arm.exit_lanes[0].centreline_m
     points = np.array([impact_point(run), leaving[-1]])
     beyond_m, exit_m = arm.crosswalk.coordinates(points)[:, 1]
@@ -218,7 +262,12 @@ def test_the_vut_changes_smoothly_into_a_lane_that_is_not_in_line(
     assume(abs(aside_m) + abs(turned_deg) > 1.0)
     scene = scene_with_exit(aside_m, turned_deg)
     exit_m = lane_of(scene, "east-out-0").centreline_m
-    runs, refusals = laid(scene, name, f"+{metres}", speeds=(25.0,))
+    runs, refusals = laid(
+        scene,
+        name,
+        f"+{metres}",
+        speeds=(25.0,),
+    )
     reasons = ("the lanes curve", "curves too sharply", "parked")
 
     for refusal in refusals:  # the rest may be too sharp, or parked cars on the road
@@ -253,8 +302,9 @@ def test_the_vut_changes_smoothly_into_a_lane_that_is_not_in_line(
 def scene_with_exit(aside_m, turned_deg):
     """The protocol's junction with the lane out to the east elsewhere."""
     mouth = np.array([MOUTH_M, -0.5 * LANE_M + aside_m])
-    line = [mouth, mouth + turned([ARM_M, 0.0], turned_deg)]
-    return build_scene(exchanged(arm_lanes(), build_lane("east-out-0", line)))
+    end = mouth + turned([ARM_M, 0.0], turned_deg)
+    lane = build_lane("east-out-0", [mouth, end])
+    return build_scene(exchanged(arm_lanes(), lane))
 
 
 @pytest.mark.parametrize(
@@ -265,6 +315,7 @@ def scene_with_exit(aside_m, turned_deg):
     ],
 )
 def test_before_the_junction_a_lane_that_bends_is_followed(laid, metres, name):
+    """Distances are counted along the lane, not as the crow flies."""
     # Into the junction from the west, out of a bend.
     radius_m = 60.0
     angle = np.linspace(1.6, 0.0, 60)
@@ -280,8 +331,10 @@ def test_before_the_junction_a_lane_that_bends_is_followed(laid, metres, name):
 
     # Of 0 the lane ends 2 m before the crosswalk.
     chain = shapely.LineString(line)
-    left_m = chain.length + 2.0 - chain.project(shapely.Point(impact_point(there)))
-    left_of_0_m = 2.0 - impact_point(here)[0] - MOUTH_M
+    point = shapely.Point(impact_point(there))
+    left_m = chain.length + 2.0 - chain.project(point)
+    east_m, _ = impact_point(here)
+    left_of_0_m = 2.0 - east_m - MOUTH_M
 
     assert left_m == pytest.approx(metres + left_of_0_m, abs=0.3)
 
@@ -293,6 +346,7 @@ def test_before_the_junction_a_lane_that_bends_is_followed(laid, metres, name):
 
 @pytest.mark.long
 def test_the_lane_of_the_map_leads_through_the_junction(laid):
+    """It bulges by a metre, and leads to the other lane of two."""
     plain = build_scene(arm_lanes(n_lanes=2))
     begin = lane_of(plain, "west-in-0").centreline_m[-1]
     end = lane_of(plain, "east-out-1").centreline_m[0]
@@ -301,7 +355,12 @@ def test_the_lane_of_the_map_leads_through_the_junction(laid):
     bulge = begin + share * (end - begin) + aside
     through = build_lane("through", bulge, kind="connecting")
     scene = build_scene([*plain.lanes, through])
-    (run,), _ = laid(scene, "CPFA-50", "+20", speeds=(35.0,))
+    (run,), _ = laid(
+        scene,
+        "CPFA-50",
+        "+20",
+        speeds=(35.0,),
+    )
     east_m = run.vut_position_m[:, 0]
     inside = run.vut_position_m[np.abs(east_m) < MOUTH_M - 4.0]
 
@@ -317,6 +376,7 @@ def test_the_lane_of_the_map_leads_through_the_junction(laid):
 
 
 def test_positions_beyond_the_mapped_lanes_are_refused_with_the_reason(lay, laid):
+    """Lanes are 40 m long; the crosswalk lies 2 m inside of their ends."""
     scene = build_scene(arm_lanes(arm_m=40.0))
     runs, refusals = lay(
         scene,
@@ -329,12 +389,14 @@ def test_positions_beyond_the_mapped_lanes_are_refused_with_the_reason(lay, laid
 
     # The crosswalk lies 2 m inside the mouth.
     assert [run.position for run in runs] == ["0", "-41.9", "+0", "+41.9"]
-    assert [(one.position, one.reason, one.is_possible) for one in refusals] == [
-        ("-42.1", "the mapped lane does not reach that far", False),
-        ("+42.1", "the mapped lane does not reach that far", False),
-    ]
+    assert [one.position for one in refusals] == ["-42.1", "+42.1"]
+
+    for one in refusals:
+        assert one.reason == "the mapped lane does not reach that far"
+        assert not one.is_possible
 
     runs, (refusal,) = laid(scene, "CBLA-50", "-15")
+
     assert not runs
     assert refusal.reason == "the VRU would set off before the mapped lane begins"
 
@@ -370,6 +432,7 @@ FAR_ASIDE = build_scene(
 )
 @pytest.mark.parametrize("position", ["+0", "+15"])
 def test_without_a_road_ahead_nothing_is_behind(laid, scene, position):
+    """There is no lane out, or it lies too far aside to be straight on."""
     runs, (refusal,) = laid(scene, "CPNA-25", position)
     assert not runs
     assert refusal.reason == "no lane leads straight on out of the junction"
@@ -380,7 +443,12 @@ def test_without_a_road_ahead_nothing_is_behind(laid, scene, position):
 @pytest.mark.long
 def test_a_change_of_lanes_that_is_too_sharp_for_the_speed_is_refused(laid):
     scene = scene_with_exit(9.0, 0.0)  # too far aside to be eased
-    runs, (refusal,) = laid(scene, "CPNA-25", "+15", speeds=(10.0, 60.0))
+    runs, (refusal,) = laid(
+        scene,
+        "CPNA-25",
+        "+15",
+        speeds=(10.0, 60.0),
+    )
 
     assert [run.vut_speed_kmh for run in runs] == [10.0]
     assert refusal.speeds_kmh == (60.0,)
@@ -394,22 +462,31 @@ def test_a_change_of_lanes_that_is_too_sharp_for_the_speed_is_refused(laid):
 
 
 def test_cases_that_are_bound_to_the_junction_have_one_place():
+    """Turns, and whoever comes from another arm."""
     bound = {name: case for name, case in CASES.items() if is_bound(case)}
     families = {name[:4] for name in bound}
+    positions = build_positions((15.0, 30.0))
 
     assert families == {"CPTA", "CBTA", "CBNA", "CBFA", "CCCs", "CMCs", "CCFt", "CMFt"}
+
     for case in bound.values():
-        assert positions_of(case, build_positions((15.0, 30.0))) == (AT_ZERO,)
+        assert positions_of(case, positions) == (AT_ZERO,)
 
 
 # How often
 
 
 @given(
-    st.lists(st.integers(10, 90), min_size=3, max_size=20, unique=True).map(sorted),
+    st.lists(
+        st.integers(10, 90),
+        min_size=3,
+        max_size=20,
+        unique=True,
+    ).map(sorted),
     st.integers(0, 50),
 )
 def test_neighbours_take_turns_so_that_every_speed_is_driven(speeds, turn):
+    """Away from the junction each position has a third of the speeds."""
     position = Position(distance_m=15.0)
     driven = []
     for add in range(3):
@@ -434,6 +511,7 @@ def test_a_position_is_read_back_by_its_name(sign, metres):
 
 
 def test_positions_are_sorted_as_the_vut_passes_them():
+    """-0 is no position of its own."""
     names = [position.name for position in build_positions((0, 2.5, 15, 100))]
     in_order = ["-100", "-15", "-2.5", "0", "+0", "+2.5", "+15", "+100"]
     assert sort_positions(names) == in_order
@@ -465,7 +543,9 @@ def test_positions_are_sorted_as_the_vut_passes_them():
 def test_distances_that_cannot_be_are_one_line(text, message):
     with pytest.raises(InputError) as caught:
         read_along_arms(text, "along_arms")
-    assert str(caught.value).startswith(f"along_arms: {message}")
+
+    told = str(caught.value)
+    assert told.startswith(f"along_arms: {message}")
 
 
 @pytest.mark.parametrize(
@@ -474,13 +554,20 @@ def test_distances_that_cannot_be_are_one_line(text, message):
 def test_what_is_no_position_is_told(text):
     with pytest.raises(InputError) as caught:
         read_position(text, "position")
-    assert str(caught.value).startswith(
-        f"position: got {text!r}; expected 0, or metres before it such as -15"
-    )
+
+    told = str(caught.value)
+    expected = "expected 0, or metres before it such as -15"
+    assert told.startswith(f"position: got {text!r}; {expected}")
 
 
 def test_a_frame_axis_knows_where_each_run_is(laid):
-    runs, _ = laid(protocol_scene(), "CPLA-50", "-15", speeds=(20.0, 30.0))
+    """Without positions all runs are at 0."""
+    runs, _ = laid(
+        protocol_scene(),
+        "CPLA-50",
+        "-15",
+        speeds=(20.0, 30.0),
+    )
     assert [run.id for run in runs] == ["CPLA-50/west-15/20", "CPLA-50/west-15/30"]
 
     axis = build_frame_axis(runs, np.full(2, 0.5))
@@ -501,14 +588,22 @@ def test_a_frame_axis_knows_where_each_run_is(laid):
 
 @pytest.mark.long
 def test_a_change_of_lanes_is_eased_only_where_it_would_be_too_fast(laid):
+    """The faster car is farther off the middle of its lane before the mouth."""
     scene = scene_with_exit(2.0, 0.0)
-    runs, _ = laid(scene, "CPFA-50", "+15", speeds=(20.0, 60.0))
+    runs, _ = laid(
+        scene,
+        "CPFA-50",
+        "+15",
+        speeds=(20.0, 60.0),
+    )
 
     aside_m = []
     for run in runs:
         points = run.encounter.vut_motion.path.course.points_m
-        before = points[np.abs(points[:, 0] + MOUTH_M + 2.0) < 1.0]
-        aside_m.append(np.abs(before[:, 1] + 0.5 * LANE_M).max())
+        east_m, north_m = points.T
+        is_before = np.abs(east_m + MOUTH_M + 2.0) < 1.0
+        off_m = np.abs(north_m[is_before] + 0.5 * LANE_M)
+        aside_m.append(off_m.max())
 
     slow_m, fast_m = aside_m
 
@@ -516,10 +611,16 @@ def test_a_change_of_lanes_is_eased_only_where_it_would_be_too_fast(laid):
 
 
 def test_behind_a_lane_that_only_turns_the_next_one_leads_straight_on(laid):
+    """Of three lanes in, only the one at the axis has a lane out opposite."""
     lanes = arm_lanes(n_lanes=3, arm_m=70.0)
     lanes = [lane for lane in lanes if lane.id not in ("east-out-0", "east-out-1")]
     scene = build_scene(lanes)
-    (run,), _ = laid(scene, "CPFA-50", "+15", speeds=(100.0,))
+    (run,), _ = laid(
+        scene,
+        "CPFA-50",
+        "+15",
+        speeds=(100.0,),
+    )
 
     assert isinstance(run.encounter.vut_motion.path, StraightPath)
     # The lane at the axis.
@@ -559,6 +660,7 @@ def followed_scene():
 
 @pytest.mark.parametrize("name", ["CPNA-25", "CBLA-50", "CPLA-50"])
 def test_a_lane_is_followed_straight_on_through_another_junction(laid, name):
+    """The run is the same as on a lane without one."""
     scene = followed_scene()
     arm = build_junction(scene).arms["west"]
     lanes = (*arm.lanes_in, *arm.lanes_out)
@@ -573,6 +675,7 @@ def test_a_lane_is_followed_straight_on_through_another_junction(laid, name):
 
 
 def test_nobody_crosses_in_the_middle_of_another_junction(laid):
+    """Along the lane, a cyclist may still be met there."""
     scene = followed_scene()
     position = f"-{NEXT_M + 8.0}"
     runs, (refusal,) = laid(scene, "CPNA-25", position)
@@ -584,6 +687,7 @@ def test_nobody_crosses_in_the_middle_of_another_junction(laid):
 
 
 def test_a_connecting_lane_behind_which_nothing_begins_is_no_part_of_an_arm():
+    """It leads nowhere that is mapped."""
     scene = followed_scene()
     lanes = tuple(lane for lane in scene.lanes if not lane.id.endswith("-far"))
     arm = build_junction(replace(scene, lanes=lanes)).arms["west"]
@@ -612,6 +716,7 @@ def test_where_the_map_ends_a_vru_sets_off_beyond_if_a_lane_is_assumed_there(
 
     # But nobody is met where the map has no road.
     _, (refusal,) = laid(scene, "CPNA-25", "-45")
+
     assert refusal.reason == "the mapped lane does not reach that far"
     assert not refusal.is_possible
 
@@ -648,6 +753,7 @@ def test_a_row_of_parked_cars_does_not_mind_a_bend_ahead_of_it(laid):
 
 
 def test_cars_park_on_spaces_that_a_wide_lane_has_beside_who_drives(laid):
+    """Without spaces they would stand on the lane itself."""
     own = lane_of(protocol_scene(), "west-in-0")
     wide = exchanged(arm_lanes(), replace(own, width_m=12.0))
     runs, (refusal,) = laid(build_scene(wide), "CPNCO-50", "-30")
@@ -661,7 +767,12 @@ def test_cars_park_on_spaces_that_a_wide_lane_has_beside_who_drives(laid):
             [-15.0, -5.5],
         ]
     )
-    row = build_lane("spaces", line, kind="parking", width_m=4.0)
+    row = build_lane(
+        "spaces",
+        line,
+        kind="parking",
+        width_m=4.0,
+    )
     runs, refusals = laid(build_scene([*wide, row]), "CPNCO-50", "-30")
 
     assert runs, refusals
@@ -672,6 +783,7 @@ def test_cars_park_on_spaces_that_a_wide_lane_has_beside_who_drives(laid):
 def test_impact_points_take_turns_and_every_speed_is_driven_with_one(
     n_points, position
 ):
+    """Three turns each: positions away from 0 have a third of the speeds."""
     speeds = tuple(10.0 * number for number in range(1, 7))
     driven = {speed: set() for speed in speeds}
 
@@ -689,5 +801,8 @@ def test_impact_points_take_turns_and_every_speed_is_driven_with_one(
             for speed in part:
                 driven[speed].add(number)
         assert sorted(found) == sorted(everything)
+
     # Every speed comes to every impact point.
-    assert all(numbers == set(range(n_points)) for numbers in driven.values())
+    every = set(range(n_points))
+    for numbers in driven.values():
+        assert numbers == every

@@ -60,26 +60,36 @@ def origin_of(golden):
 def front_of(encounter):
     """Middle of the VUT's front at the impact."""
     position, yaw_deg = pose_at(encounter.vut_motion)
-    return position + 0.5 * encounter.vut.length_m * turned([1.0, 0.0], yaw_deg)
+    half_m = 0.5 * encounter.vut.length_m
+    return position + turned([half_m, 0.0], yaw_deg)
+
+
+def point_ahead(position, yaw_deg, by_m):
+    """The point so far ahead of a body's middle."""
+    return position + turned([by_m, 0.0], yaw_deg)
 
 
 @pytest.mark.parametrize("name", CROSSING)
 @pytest.mark.parametrize("speed_kmh", [10.0, 35.0, 60.0])
 def test_crossing_bodies_meet_where_the_protocol_says(golf, name, speed_kmh):
+    """Both bodies' places at the impact are those in the protocol's files."""
     golden = CROSSING[name]
     origin = origin_of(golden)
     encounter = stage(name, golf, speed_kmh=speed_kmh).encounter
-    front = front_of(encounter)
+    front_m = front_of(encounter) - origin
     vru, vru_yaw_deg = pose_at(encounter.vru_motion)
+    vru_m = vru - origin
+    speed_mps = speed_kmh / 3.6
 
-    assert front - origin == pytest.approx(golden["vut_front_m"], abs=1e-5)
-    assert vru - origin == pytest.approx(golden["vru_middle_m"], abs=1e-5)
+    assert front_m == pytest.approx(golden["vut_front_m"], abs=1e-5)
+    assert vru_m == pytest.approx(golden["vru_middle_m"], abs=1e-5)
     assert vru_yaw_deg == pytest.approx(golden["vru_yaw_deg"])
-    assert encounter.vut_motion.speed_mps == pytest.approx(speed_kmh / 3.6)
+    assert encounter.vut_motion.speed_mps == pytest.approx(speed_mps)
 
 
 @pytest.mark.parametrize("name", [n for n in CROSSING if n.startswith("CP")])
 def test_crossing_pedestrians_take_the_protocols_time(golf, name):
+    """From setting off to the impact."""
     motion = stage(name, golf).encounter.vru_motion
     golden_s = CROSSING[name]["time_start_to_impact_s"]
     # The facts count from the hip where CPFA's files count from the box: 0.06 m.
@@ -90,6 +100,7 @@ def test_crossing_pedestrians_take_the_protocols_time(golf, name):
 def test_crossing_bicycles_start_where_the_files_say_and_keep_their_last_speed(
     golf, name
 ):
+    """They speed up evenly, and then ride steadily up to the impact."""
     golden = CROSSING[name]
     motion = stage(name, golf).encounter.vru_motion
 
@@ -106,10 +117,12 @@ def test_crossing_bicycles_start_where_the_files_say_and_keep_their_last_speed(
 
 @pytest.mark.parametrize("name", [n for n, g in CROSSING.items() if "bodies" in g])
 def test_obstructions_stand_at_the_protocols_gaps(golf, name):
+    """Edges of parked cars, not their middles: the protocol measures between edges."""
     golden = CROSSING[name]
     parked = {body.actor.name: body for body in stage(name, golf).obstruction}
 
     assert parked.keys() == golden["bodies"].keys()
+
     for actor_name, box in golden["bodies"].items():
         body = parked[actor_name]
         along_and_across_m = [body.actor.length_m, body.actor.width_m]
@@ -124,15 +137,19 @@ def test_obstructions_stand_at_the_protocols_gaps(golf, name):
 
 @pytest.mark.parametrize("name", GOLDEN["longitudinal"])
 def test_whoever_is_ahead_sets_off_at_the_protocols_trigger_gap(golf, name):
+    """The gap is from the VUT's front to the rear of the one ahead."""
     golden = GOLDEN["longitudinal"][name]
-    assert list(load_cases()[name].vut_speeds_kmh) == golden["vut_speeds_kmh"]
-    for speed_kmh, gap_m in zip(
-        golden["vut_speeds_kmh"], golden["trigger_gap_m"], strict=True
-    ):
+    speeds_kmh = golden["vut_speeds_kmh"]
+    gaps_m = golden["trigger_gap_m"]
+    until_impact_s = golden["time_start_to_impact_s"]
+
+    assert list(load_cases()[name].vut_speeds_kmh) == speeds_kmh
+
+    for speed_kmh, gap_m in zip(speeds_kmh, gaps_m, strict=True):
         encounter = stage(name, golf, speed_kmh=speed_kmh).encounter
         start_s = encounter.vru_motion.start_time_s
 
-        assert -start_s == pytest.approx(golden["time_start_to_impact_s"], abs=1e-6)
+        assert -start_s == pytest.approx(until_impact_s, abs=1e-6)
 
         vut, _ = pose_at(encounter.vut_motion, start_s)
         vru, _ = pose_at(encounter.vru_motion, start_s)
@@ -145,14 +162,19 @@ def test_whoever_is_ahead_sets_off_at_the_protocols_trigger_gap(golf, name):
 
 @pytest.mark.parametrize("name", GOLDEN["turning"])
 def test_turns_lead_over_the_pedestrians_line_where_the_protocol_says(golf, name):
+    """The front axle follows the protocol's curve, which is measured there."""
     golden = GOLDEN["turning"][name]
-    assert list(load_cases()[name].vut_speeds_kmh) == golden["vut_speeds_kmh"]
-    for index, speed_kmh in enumerate(golden["vut_speeds_kmh"]):
-        encounter = stage(name, golf, speed_kmh=speed_kmh).encounter
-        motion = encounter.vru_motion
+    speeds_kmh = golden["vut_speeds_kmh"]
 
-        assert motion.path.start_m == pytest.approx(golden["vru_start_m"], abs=1e-6)
-        assert abs(off_deg(motion.path.yaw_deg, golden["vru_yaw_deg"])) < 1e-9
+    assert list(load_cases()[name].vut_speeds_kmh) == speeds_kmh
+
+    for index, speed_kmh in enumerate(speeds_kmh):
+        encounter = stage(name, golf, speed_kmh=speed_kmh).encounter
+        walk = encounter.vru_motion.path
+        turned_deg = off_deg(walk.yaw_deg, golden["vru_yaw_deg"])
+
+        assert walk.start_m == pytest.approx(golden["vru_start_m"], abs=1e-6)
+        assert abs(turned_deg) < 1e-9
 
         path = encounter.vut_motion.path
         begin, _ = front_axle_at(path, path.straight_m)
@@ -167,13 +189,16 @@ def test_turns_lead_over_the_pedestrians_line_where_the_protocol_says(golf, name
 
 @pytest.mark.parametrize("name", GOLDEN["cbta"]["y_m"])
 def test_bicycles_beside_a_turning_vut_ride_on_the_protocols_line(golf, name):
+    """They have been at their speed for the protocol's distance at the impact."""
     motion = stage(name, golf).encounter.vru_motion
     _, north_m = motion.path.start_m
 
     assert north_m == pytest.approx(GOLDEN["cbta"]["y_m"][name])
 
     golden_deg = GOLDEN["cbta"]["yaw_deg"][name]
-    assert abs(off_deg(motion.path.yaw_deg, golden_deg)) < 1e-9
+    turned_deg = off_deg(motion.path.yaw_deg, golden_deg)
+
+    assert abs(turned_deg) < 1e-9
 
     steady_m = motion.distance_m(0.0) - motion.acceleration_distance_m
     # A corner may touch a moment before the foremost point does.
@@ -192,20 +217,22 @@ def meets_the_front(case):
 
 @pytest.mark.parametrize("name", case_names(meets_the_front))
 def test_every_case_meets_the_front_at_its_share_of_the_width(golf, name):
+    """50 % is the middle of the front."""
     case = load_cases()[name]
     encounter = stage(name, golf).encounter
     vut, yaw_deg = pose_at(encounter.vut_motion)
     vru, vru_yaw_deg = pose_at(encounter.vru_motion)
-    point = vru + case.vru_reference_m * turned([1.0, 0.0], vru_yaw_deg)
+    point = point_ahead(vru, vru_yaw_deg, case.vru_reference_m)
     if case.kind == "longitudinal":
         point = vru
     left_m = (point - vut) @ turned([0.0, 1.0], yaw_deg)
+    expected_m = impact_offset_m(case, golf)
     # Where a corner touches a moment early, the point is still that moment's way off.
     tolerance_m = 1e-5
     if case.kind == "turning":
         tolerance_m = 0.02
 
-    assert left_m == pytest.approx(impact_offset_m(case, golf), abs=tolerance_m)
+    assert left_m == pytest.approx(expected_m, abs=tolerance_m)
 
 
 @pytest.mark.parametrize(
@@ -216,22 +243,26 @@ def test_every_case_meets_the_front_at_its_share_of_the_width(golf, name):
     ],
 )
 def test_side_impacts_meet_the_side_at_their_share_of_the_length(golf, name, side):
+    """A quarter of the length ahead of the VUT's middle."""
     encounter = stage(name, golf).encounter
     vut, yaw_deg = pose_at(encounter.vut_motion)
     vru, vru_yaw_deg = pose_at(encounter.vru_motion)
-    nose = vru + 0.5 * encounter.vru.length_m * turned([1.0, 0.0], vru_yaw_deg)
+    nose = point_ahead(vru, vru_yaw_deg, 0.5 * encounter.vru.length_m)
     ahead_m, left_m = turned(nose - vut, -yaw_deg)
+    apart_m = side * left_m - 0.5 * golf.width_m
 
     # The VUT is still turning: a corner of the bicycle's box touches before its
     # foremost point.
-    assert side * left_m - 0.5 * golf.width_m == pytest.approx(0.125, abs=0.125)
+    assert apart_m == pytest.approx(0.125, abs=0.125)
     assert ahead_m == pytest.approx(0.25 * golf.length_m, abs=0.2)
 
 
 @pytest.mark.parametrize("name", case_names())
 def test_every_approach_of_a_symmetric_junction_gives_the_same_run_turned(golf, name):
+    """All arms are alike, so that only the direction differs."""
     west = stage(name, golf, approach="west").encounter
     times_s = np.linspace(-6.0, 0.0, 7)
+
     for approach in ("east", "north", "south"):
         other = stage(name, golf, approach=approach).encounter
         angle_deg = ARMS[approach] - ARMS["west"]
@@ -241,15 +272,22 @@ def test_every_approach_of_a_symmetric_junction_gives_the_same_run_turned(golf, 
         ):
             position, yaw_deg = motion.path.at(motion.distance_m(times_s))
             there, there_deg = image.path.at(image.distance_m(times_s))
-            assert turned(position, angle_deg) == pytest.approx(there, abs=1e-6)
-            assert np.abs(off_deg(yaw_deg + angle_deg, there_deg)).max() < 1e-6
+            moved = turned(position, angle_deg)
+            turned_deg = off_deg(yaw_deg + angle_deg, there_deg)
+            assert moved == pytest.approx(there, abs=1e-6)
+            assert np.abs(turned_deg).max() < 1e-6
 
 
 def refusal(name, golf, lanes, **speed):
     """Why a case cannot be carried by a junction of these lanes."""
     junction = build_junction(build_scene(lanes))
     with pytest.raises(CannotCarryError) as caught:
-        stage(name, golf, junction=junction, **speed)
+        stage(
+            name,
+            golf,
+            junction=junction,
+            **speed,
+        )
     return str(caught.value)
 
 
@@ -278,12 +316,19 @@ RIGHT = arm_lanes(without=["north"])
 def test_a_junction_without_the_lane_that_a_case_needs_cannot_carry_it(
     golf, name, lanes, reason
 ):
+    """Which lane is missing is said from where the VUT comes."""
     assert refusal(name, golf, lanes) == reason
 
 
 def test_a_turn_that_ends_beyond_the_mapped_lane_cannot_be_carried(golf):
+    """The lane out of the junction is 2 m long."""
     lanes = [*RIGHT, *lanes_of("north", 90.0, arm_m=2.0)]
-    told = refusal("CPTAfs-50", golf, lanes, speed_kmh=20.0)
+    told = refusal(
+        "CPTAfs-50",
+        golf,
+        lanes,
+        speed_kmh=20.0,
+    )
     assert "would end beyond the mapped lane north-out-0" in told
 
 
@@ -316,6 +361,7 @@ def test_a_wall_hides_the_studys_cyclist_until_17_m_before_without_published_sta
 def test_from_the_other_side_a_run_is_the_mirror_image(
     golf, percent, speed_kmh, vru_speed_kmh, name
 ):
+    """Near and far side swap, and the impact point is counted from the other corner."""
     case = replace(
         load_cases()[name],
         impact_percent=percent,
@@ -324,23 +370,30 @@ def test_from_the_other_side_a_run_is_the_mirror_image(
     other_side = {"near": "far", "far": "near"}[case.vru_side]
     other = replace(case, impact_percent=100.0 - percent, vru_side=other_side)
     staged, mirrored = (
-        stage_by_protocol(one, JUNCTION, "west", vut_speed_kmh=speed_kmh, vut=golf)
+        stage_by_protocol(
+            one,
+            JUNCTION,
+            "west",
+            vut_speed_kmh=speed_kmh,
+            vut=golf,
+        )
         for one in (case, other)
     )
 
     times_s = np.linspace(-5.0, 0.0, 11)
+
     for who in ("vut_motion", "vru_motion"):
         motion = getattr(staged.encounter, who)
         mirror = getattr(mirrored.encounter, who)
         position, yaw_deg = motion.path.at(motion.distance_m(times_s))
         image, image_yaw_deg = mirror.path.at(mirror.distance_m(times_s))
 
-        assert in_mirror(position) == pytest.approx(image, abs=1e-5)
-
         mirrored_deg = -np.asarray(yaw_deg)
+        turned_deg = off_deg(mirrored_deg, image_yaw_deg)
 
-    turned_deg = off_deg(mirrored_deg, image_yaw_deg)
-    assert np.abs(turned_deg).max() < 1e-9
+        assert in_mirror(position) == pytest.approx(image, abs=1e-5)
+        assert np.abs(turned_deg).max() < 1e-9
+
     for body, image in zip(staged.obstruction, mirrored.obstruction, strict=True):
         place = in_mirror(body.pose.position_m[:2])
         assert place == pytest.approx(image.pose.position_m[:2])

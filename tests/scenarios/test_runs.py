@@ -69,10 +69,11 @@ def all_runs(lay, asked):
             if arm == approach:
                 speeds.setdefault(name, []).append(speed)
 
-        cases = [
-            replace(load_cases()[name], vut_speeds_kmh=tuple(driven))
-            for name, driven in speeds.items()
-        ]
+        cases = []
+        for name, driven in speeds.items():
+            case = load_cases()[name]
+            cases.append(replace(case, vut_speeds_kmh=tuple(driven)))
+
         laid, refused = lay(load_study_scene(), cases, approaches=[approach])
         runs += laid
         refusals += refused
@@ -82,9 +83,11 @@ def all_runs(lay, asked):
 
 def test_the_study_junction_has_104_runs_of_the_studys_own_cases_with_unique_ids(runs):
     by_case = Counter(run.case.name for run in runs)
+    ids = {run.id for run in runs}
+
     assert by_case == {"CPNC-50": 36, "CBNA": 36, "CBLA": 32}
-    assert len({run.id for run in runs}) == len(runs) == 104
-    assert "CPNC-50/east/20" in {run.id for run in runs}
+    assert len(ids) == len(runs) == 104
+    assert "CPNC-50/east/20" in ids
 
 
 # Every case, by the study's own starts or laid by the protocol
@@ -92,6 +95,7 @@ def test_the_study_junction_has_104_runs_of_the_studys_own_cases_with_unique_ids
 
 @pytest.mark.long
 def test_every_case_is_carried_or_refused_with_a_reason(all_runs, asked):
+    """Nothing that is asked for gets lost, and nothing else comes along."""
     runs, refusals = all_runs
     told = {(run.case.name, run.approach, run.vut_speed_kmh) for run in runs}
 
@@ -99,15 +103,20 @@ def test_every_case_is_carried_or_refused_with_a_reason(all_runs, asked):
         assert refusal.reason
         for speed in refusal.speeds_kmh:
             told.add((refusal.case.name, refusal.approach, speed))
+
     assert told == asked
 
 
 @pytest.mark.long
 def test_without_braking_every_run_of_every_case_first_touches_at_its_impact(all_runs):
+    """Seen from 25 s before in steps of 10 ms, and 5 ms behind it."""
     runs, _ = all_runs
+    before_s = np.linspace(-25.0, -1e-3, 2501)
+    from_s = np.array([0.0, 5e-3])
+
     for run in runs:
-        before = separation_m(run.encounter, np.linspace(-25.0, -1e-3, 2501))
-        at, after = separation_m(run.encounter, np.array([0.0, 5e-3]))
+        before = separation_m(run.encounter, before_s)
+        at, after = separation_m(run.encounter, from_s)
         assert (before > 0.0).all(), run.id
         assert at == pytest.approx(0.0, abs=1e-5), run.id
         assert after < 0.0, run.id
@@ -115,16 +124,23 @@ def test_without_braking_every_run_of_every_case_first_touches_at_its_impact(all
 
 @pytest.mark.long
 def test_last_brake_times_of_every_case_are_the_last_ones(all_runs, rule):
+    """Braking then or earlier avoids contact; a millisecond later it does not."""
     runs, _ = all_runs
+
     for run in runs:
         last_s = run.last_brake_time_s
         assert run.time_s[0] < last_s < 0.0, run.id
+
         for earlier_s in (0.0, 1e-3, 0.05, 0.3):
-            assert not has_contact(run.encounter, last_s - earlier_s, rule), run.id
-        assert has_contact(run.encounter, last_s + 1e-3, rule), run.id
+            onset_s = last_s - earlier_s
+            assert not has_contact(run.encounter, onset_s, rule), run.id
+
+        late_s = last_s + 1e-3
+        assert has_contact(run.encounter, late_s, rule), run.id
 
 
 def test_frames_hold_the_motions_and_the_gait(all_runs):
+    """Shapes follow the way that has been walked, not the time."""
     runs, _ = all_runs
     for run in runs:
         encounter = run.encounter
@@ -153,6 +169,7 @@ def test_frames_hold_the_motions_and_the_gait(all_runs):
 
 
 def test_each_weather_is_a_run_of_its_own(lay):
+    """The same motion, another name."""
     weathers = ("day", "rain")
     scene = load_study_scene()
     (dry, wet, *_), _ = lay(scene, ["CPTAns-50"], weathers=weathers)
@@ -165,6 +182,7 @@ def test_each_weather_is_a_run_of_its_own(lay):
 
 
 def test_runs_that_are_known_are_taken_and_the_others_laid(lay):
+    """What is known is the same object, not an equal one."""
     scene = load_study_scene()
     case = load_cases()["CPTAns-50"]
     laid, _ = lay(scene, [case])
@@ -200,6 +218,7 @@ def test_unknown_words_list_the_known_ones(lay, options, message):
 
 
 def test_things_in_the_way_are_named(lay):
+    """Every speed is refused for the same reason."""
     wall = ("shed", -9.5, -4.0, 3.0, 1.0, 2.0)  # across the near side's start
     scene = protocol_scene(boxes=[wall])
     runs, refusals = lay(scene, ["CPNA-25"], approaches=["west"])
@@ -225,6 +244,7 @@ def limited(scene, limits_kmh):
 
 @pytest.mark.long
 def test_nothing_is_driven_faster_than_the_speed_limit(lay):
+    """Limits of lanes into the junction, by the arm from which the VUT comes."""
     limits_kmh = {"east": 42.0, "north": 15.0}
     free = protocol_scene()
     scene = limited(free, limits_kmh)
@@ -249,17 +269,26 @@ def test_nothing_is_driven_faster_than_the_speed_limit(lay):
     fast = [one for one in refusals if one.limit_kmh is not None]
     n_refused = sum(len(one.speeds_kmh) for one in fast)
 
-    assert n_refused == len(every) - len(slow)
-    assert {(one.approach, one.reason, one.is_possible) for one in fast} == {
-        ("east", "faster than the speed limit of 42 km/h", False),
-        ("north", "faster than the speed limit of 15 km/h", False),
-    }
+    reasons = {(one.approach, one.reason) for one in fast}
 
-    unlimited, _ = lay(scene, cases, keeps_limits=False, **options)
+    assert n_refused == len(every) - len(slow)
+    assert reasons == {
+        ("east", "faster than the speed limit of 42 km/h"),
+        ("north", "faster than the speed limit of 15 km/h"),
+    }
+    assert not any(one.is_possible for one in fast)
+
+    unlimited, _ = lay(
+        scene,
+        cases,
+        keeps_limits=False,
+        **options,
+    )
     assert [run.id for run in unlimited] == [run.id for run in every]
 
 
 def test_a_road_that_is_missing_is_missing_at_every_speed(lay):
+    """The reason is the road, also where the limit forbids the speed."""
     lanes = protocol_scene().lanes
     lanes = [lane for lane in lanes if not lane.id.startswith("south-out")]
     scene = limited(build_scene(lanes), {"east": 12.0})
@@ -273,6 +302,7 @@ def test_a_road_that_is_missing_is_missing_at_every_speed(lay):
 
 
 def test_frames_lie_on_the_10_hz_grid_and_end_at_the_impact(runs):
+    """The first frame is the first in which anybody moves."""
     for run in runs:
         n_frames = len(run.time_s)
         on_grid_s = np.arange(1 - n_frames, 1) / 10.0
@@ -305,13 +335,16 @@ def test_arrays_of_a_run_are_read_only(runs):
 
 
 def test_frame_axis_lays_the_frames_of_runs_end_to_end(runs):
+    """Slices of the axis are the runs' own frames."""
     some = runs[::20]
     axis = build_frame_axis(some, weight_per_run(some))
 
     assert axis.n_runs == len(some)
     assert axis.n_frames == sum(len(run.time_s) for run in some)
+
     for index, run in enumerate(some):
-        assert np.array_equal(axis.time_s[axis.frames_of(index)], run.time_s)
+        frames = axis.frames_of(index)
+        assert axis.time_s[frames].tolist() == run.time_s.tolist()
         assert axis.run_ids[index] == run.id
         assert axis.cases[index] == run.case.name
         assert axis.approaches[index] == run.approach
@@ -409,10 +442,17 @@ def drawn(data, elements, axis):
 memories_s = st.sampled_from([0.1, 0.2, 0.3, 0.5, 1.0, math.inf])
 
 
-@given(frame_axes(), st.integers(1, 4), memories_s, numbers(0.0, 1.0), st.data())
+@given(
+    frame_axes(),
+    st.integers(1, 4),
+    memories_s,
+    numbers(0.0, 1.0),
+    st.data(),
+)
 def test_live_confirmations_are_those_of_each_run(
     rule, axis, n, memory_s, latency_s, data
 ):
+    """By a plain simulation of tracks, frame by frame."""
     first = drawn(data, st.booleans(), axis)
     second = drawn(data, st.booleans(), axis)
     rows = np.stack([first, second])
@@ -421,6 +461,7 @@ def test_live_confirmations_are_those_of_each_run(
     alone_s = live_confirmation_times_s(rows[1], axis, rule=rule)
 
     assert np.array_equal(alone_s, found_s[1])
+
     for run in range(axis.n_runs):
         frames = axis.frames_of(run)
         until_s = float(axis.last_brake_time_s[run]) - latency_s
@@ -436,12 +477,14 @@ def test_live_confirmations_are_those_of_each_run(
 
 
 def test_many_rows_are_looked_at_in_parts(rule, frame_axis):
+    """More rows than fit into one part give the same as each by itself."""
     rng = np.random.default_rng(0)
     rows = rng.random((3, 150, frame_axis.n_frames)) < 0.6
     rule = rule_with(rule, 2, 0.1)
     found_s = live_confirmation_times_s(rows, frame_axis, rule=rule)
 
     assert found_s.shape == (3, 150, frame_axis.n_runs)
+
     for place in ((0, 0), (1, 63), (2, 149)):
         one_s = live_confirmation_times_s(rows[place], frame_axis, rule=rule)
         assert np.array_equal(found_s[place], one_s)
@@ -467,7 +510,12 @@ def windows_of(axis, run, arrival_s, n):
     return windows
 
 
-@given(frame_axes(), st.integers(1, 3), memories_s, st.data())
+@given(
+    frame_axes(),
+    st.integers(1, 3),
+    memories_s,
+    st.data(),
+)
 def test_the_vut_brakes_for_the_live_window_that_it_knows_first(
     rule, axis, n, memory_s, data
 ):
@@ -480,14 +528,16 @@ def test_the_vut_brakes_for_the_live_window_that_it_knows_first(
 
     for run in range(axis.n_runs):
         last_brake_s = axis.last_brake_time_s[run]
-        time_s = axis.time_s[axis.frames_of(run)]
-        seen = arrival_s[axis.frames_of(run)] <= last_brake_s + 1e-9
+        frames = axis.frames_of(run)
+        time_s = axis.time_s[frames]
+        seen = arrival_s[frames] <= last_brake_s + 1e-9
         windows = windows_of(axis, run, arrival_s, n)
         windows = [one for one in windows if one[0] < math.inf]
         in_time = [one for one in windows if one[0] <= last_brake_s + 1e-9]
 
         def lives(frame, time_s=time_s, seen=seen, last_brake_s=last_brake_s):
-            stops = [t for t, s in zip(time_s[frame:], seen[frame:], strict=True) if s]
+            is_later = np.arange(len(time_s)) >= frame
+            stops = time_s[seen & is_later]
             end_s = max(last_brake_s - rule.latency_s, stops[-1])
             gaps = np.diff([*stops, end_s])
             return (gaps <= memory_s + 1e-9).all()
@@ -519,7 +569,11 @@ def test_a_track_that_is_lost_again_sets_nothing_in_motion(rule, frame_axis):
     arrival_s = np.full(10, np.inf)
     arrival_s[3:5] = axis.time_s[3:5] + 0.025
 
-    for memory_s, onset_s in ((0.2, math.inf), (0.275, -0.275), (math.inf, -0.275)):
+    for memory_s, onset_s in (
+        (0.2, math.inf),
+        (0.275, -0.275),
+        (math.inf, -0.275),
+    ):
         onsets = find_onsets(arrival_s, axis, rule=rule_with(rule, 2, memory_s))
         assert onsets.confirmation_s == pytest.approx([math.inf, -0.3, math.inf])
         assert onsets.onset_s == pytest.approx([math.inf, onset_s, math.inf])

@@ -74,7 +74,12 @@ def test_times_are_of_any_clock_and_unit(tmp_path, caplog, scale, start_s):
     assert_allclose(track.time_s - start_s, 0.1 * np.arange(10), atol=1e-6)
     assert_allclose(track.velocity_mps(track.time_s[5:6]), [[1.0, 0.0]], atol=1e-4)
 
-    word = {1.0: "s", 1.0e3: "ms", 1.0e6: "us", 1.0e9: "ns"}[scale]
+    word = {
+        1.0: "s",
+        1.0e3: "ms",
+        1.0e6: "us",
+        1.0e9: "ns",
+    }[scale]
     told = f"{tmp_path / 'a.csv'}: times read as {word}, in steps of 0.1 s"
     expected = [told]
     if scale == 1.0:
@@ -117,7 +122,12 @@ def test_columns_may_have_other_names_and_one_class(tmp_path):
     rows = [("p", n, 0.5 * n, 0.0) for n in range(4)]
     text = csv_of(rows, "who,time,east,north")
     names = {"id": "who", "x": "east", "y": "north"}
-    ((track,), _) = read(tmp_path, text, columns=names, class_name="cyclist")
+    ((track,), _) = read(
+        tmp_path,
+        text,
+        columns=names,
+        class_name="cyclist",
+    )
 
     assert track.id == "p"
     assert track.class_name == "cyclist"

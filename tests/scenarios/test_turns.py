@@ -54,13 +54,23 @@ def test_points_are_the_integral_of_the_direction_and_that_of_the_curvature(turn
     slack = 2.0 * step / turn.radius_m
     angle = turn.side * np.radians(angle_deg)
 
-    assert_allclose(angle, integral(curvature), rtol=0.0, atol=slack)
+    assert_allclose(
+        angle,
+        integral(curvature),
+        rtol=0.0,
+        atol=slack,
+    )
 
     yaw = np.radians(angle_deg)
     east = integral(np.cos(yaw)) - 1.0
     north = integral(np.sin(yaw))
 
-    assert_allclose(position, np.stack([east, north], axis=-1), rtol=0.0, atol=5e-6)
+    assert_allclose(
+        position,
+        np.stack([east, north], axis=-1),
+        rtol=0.0,
+        atol=5e-6,
+    )
 
 
 @given(turns())
@@ -90,11 +100,13 @@ def test_another_angle_changes_the_arc_only(turn, share):
 def test_speeds_pick_the_turns_of_the_protocol_and_faster_ones_take_the_fastest():
     turns = {name: entry.turn for name, entry in load_turns().items()}
     assert list(turns) == ["far_10", "far_15", "far_20", "near_10"]
+
     for name, turn in turns.items():
         side, speed_kmh = name.split("_")
         assert pick_turn(side, float(speed_kmh)) == turn
         assert turn.side == {"far": LEFT, "near": RIGHT}[side]
         assert turn.angle_deg == pytest.approx(90.0, abs=1e-12)
+
     assert pick_turn("far", 25.0) == turns["far_20"]  # 2026 protocol, CPTA and CBTA
     assert pick_turn("far", 5.0) == turns["far_10"]
     assert pick_turn("near", 20.0) == turns["near_10"]

@@ -26,17 +26,25 @@ def corners(actor, position_m, yaw_deg):
     )
 
 
+def corners_of_vru(run):
+    """Corners of who is met, frame by frame."""
+    return corners(run.encounter.vru, run.vru_position_m, run.vru_yaw_deg)
+
+
 @pytest.mark.long
 def test_no_twin_comes_nearer_than_the_clearance_to_where_the_car_ever_is(twins):
+    """The car's way is looked at every 0.3 m, also far behind the impact."""
     for twin in twins:
         run = twin.run
         motion = run.encounter.vut_motion
-        along_m = motion.distance_m(run.time_s[0]) + np.arange(0.0, 120.0, 0.3)
-        car = corners(run.encounter.vut, *motion.path.at(along_m))
-        user = corners(run.encounter.vru, run.vru_position_m, run.vru_yaw_deg)
-        gap_m = footprint_separation(car[:, None], user[None]).min()
+        begin_m = motion.distance_m(run.time_s[0])
+        along_m = begin_m + np.arange(0.0, 120.0, 0.3)
+        position_m, yaw_deg = motion.path.at(along_m)
+        car = corners(run.encounter.vut, position_m, yaw_deg)
+        user = corners_of_vru(run)
+        gaps_m = footprint_separation(car[:, None], user[None])
 
-        assert gap_m >= RULE.clearance_m - 0.02, (run.id, twin.kind)
+        assert gaps_m.min() >= RULE.clearance_m - 0.02, (run.id, twin.kind)
 
 
 def test_who_crosses_stops_or_turns_off_and_who_rides_ahead_moves_aside(
@@ -46,16 +54,23 @@ def test_who_crosses_stops_or_turns_off_and_who_rides_ahead_moves_aside(
     expected = {("CBNA", "stops"), ("CBNA", "turns off"), ("CBLA", "aside")}
 
     assert expected <= kinds
-    assert {of for name, of in kinds if name == "CBLA"} == {"aside"}
-    assert len({twin.of_run for twin in twins}) == len(crossing_runs)
+
+    ahead = {kind for family, kind in kinds if family == "CBLA"}
+    have_twins = {twin.of_run for twin in twins}
+
+    assert ahead == {"aside"}
+    assert len(have_twins) == len(crossing_runs)
 
 
 def test_who_stops_slows_down_as_the_rule_says_and_stands_at_the_clearance(twins):
+    """By differences of places from frame to frame."""
     stopping = [twin.run for twin in twins if twin.kind == "stops"]
     assert stopping
+
     for run in stopping:
         step_s = np.diff(run.time_s).mean()
-        speed = np.linalg.norm(np.diff(run.vru_position_m, axis=0), axis=-1) / step_s
+        steps_m = np.diff(run.vru_position_m, axis=0)
+        speed = np.linalg.norm(steps_m, axis=-1) / step_s
         slowing = -np.diff(speed) / step_s
 
         assert slowing.max() <= RULE.stop_mps2 + 1e-6
@@ -66,6 +81,7 @@ def test_who_stops_slows_down_as_the_rule_says_and_stands_at_the_clearance(twins
 
 
 def test_bodies_occluders_and_the_car_stay_as_they_are(twins, crossing_runs):
+    """They are the same objects, not equal ones."""
     for twin in twins:
         run = crossing_runs[twin.of_run]
         assert twin.run.obstruction is run.obstruction
@@ -75,11 +91,14 @@ def test_bodies_occluders_and_the_car_stay_as_they_are(twins, crossing_runs):
 
 
 def test_nobody_walks_through_what_is_parked(twins):
+    """Whoever gets out of the way takes none that is occupied."""
     hidden = [twin.run for twin in twins if twin.run.obstruction]
     assert hidden
+
     for run in hidden:
-        user = corners(run.encounter.vru, run.vru_position_m, run.vru_yaw_deg)
+        user = corners_of_vru(run)
         for parked in run.obstruction:
             pose = parked.pose
             there = corners(parked.actor, pose.position_m[:2], pose.yaw_deg)
-            assert footprint_separation(user, there).min() > 0.0
+            gaps_m = footprint_separation(user, there)
+            assert gaps_m.min() > 0.0

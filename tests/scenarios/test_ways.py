@@ -41,7 +41,8 @@ def bent(lane, *, radius_m=RADIUS_M, straight_m=0.0):
     along = np.arange(0.0, 120.0, 2.0)
     curve = np.maximum(along - straight_m, 0.0) / radius_m
     radius = radius_m + left[0]
-    west_m = MOUTH_M + np.minimum(along, straight_m) + radius * np.sin(curve)
+    straight = np.minimum(along, straight_m)
+    west_m = MOUTH_M + straight + radius * np.sin(curve)
     north_m = radius * np.cos(curve) - radius_m
     places = np.stack([-west_m, north_m], axis=-1)
     if ahead[-1] > ahead[0]:
@@ -80,6 +81,7 @@ def staged(name, vut, *, scene=CURVED, approach="west", speed_kmh=None):
 
 @pytest.mark.parametrize("name", case_names())
 def test_every_case_is_driven_along_a_lane_that_bends(vut, name):
+    """The front keeps to the mapped lane, and the impact point is still the case's."""
     # Nothing faster is driven round this bend.
     case = load_cases()[name]
     speed_kmh = min(case.vut_speeds_kmh[0], 50.0)
@@ -88,7 +90,8 @@ def test_every_case_is_driven_along_a_lane_that_bends(vut, name):
 
     assert isinstance(motion.path, TowedPath)
 
-    distances = np.linspace(0.0, float(motion.distance_m(0.0)), 60)
+    driven_m = float(motion.distance_m(0.0))
+    distances = np.linspace(0.0, driven_m, 60)
     stations = motion.path.start_m + distances
     front, _ = motion.path.course.at(stations)
     mapped_m = 118.0 / RADIUS_M * (RADIUS_M - 0.5 * LANE_M)
@@ -97,15 +100,18 @@ def test_every_case_is_driven_along_a_lane_that_bends(vut, name):
     is_mapped = is_before & (stations > 15.0 - mapped_m)
 
     if is_mapped.any():
-        assert distance_to_chain_m(front[is_mapped], curved_entry()).max() < 0.05
+        off_m = distance_to_chain_m(front[is_mapped], curved_entry())
+        assert off_m.max() < 0.05
 
     if case.impact_face == "front" and case.kind != "turning":
         position, yaw_deg = pose_at(motion)
         point, vru_deg = pose_at(encounter.vru_motion)
         if case.kind != "longitudinal":
-            point = point + case.vru_reference_m * turned([1.0, 0.0], vru_deg)
-        left_m = float((point - position) @ turned([0.0, 1.0], yaw_deg))
-        wanted_m = vut.width_m * (case.impact_percent - 50.0) / 100.0
+            point = point + turned([case.vru_reference_m, 0.0], vru_deg)
+        to_the_left = turned([0.0, 1.0], yaw_deg)
+        left_m = float((point - position) @ to_the_left)
+        share = (case.impact_percent - 50.0) / 100.0
+        wanted_m = share * vut.width_m
         # A long body's middle lies farther ahead, round the bend.
         tolerance_m = 0.12
         if case.vru.length_m >= 2.0:
@@ -121,23 +127,37 @@ def curved_entry():
 
 
 def test_whoever_moves_ahead_on_a_lane_that_bends_stays_in_it(vut):
+    """The cyclist's way begins in the bend, and turns by more than 20 degrees."""
     encounter = staged("CBLA-50", vut, speed_kmh=45.0)
     path = encounter.vru_motion.path
 
     assert isinstance(path, CoursePath)
 
-    distances = np.linspace(0.0, float(encounter.vru_motion.distance_m(0.0)), 50)
+    ridden_m = float(encounter.vru_motion.distance_m(0.0))
+    distances = np.linspace(0.0, ridden_m, 50)
     position, yaw_deg = path.at(distances)
-    before = position[position[:, 0] < -MOUTH_M]
+    is_before = position[:, 0] < -MOUTH_M
+    off_m = distance_to_chain_m(position[is_before], curved_entry())
 
-    assert distance_to_chain_m(before, curved_entry()).max() < 0.05
+    assert off_m.max() < 0.05
     assert np.ptp(yaw_deg) > 20.0
 
 
 def test_a_lane_that_bends_only_far_away_is_driven_straight(vut):
+    """Short drives begin behind the bend, long ones in it."""
     scene = curved_scene(straight_m=70.0)
-    straight = staged("CPNA-25", vut, scene=PLAIN, speed_kmh=40.0)
-    same = staged("CPNA-25", vut, scene=scene, speed_kmh=40.0)
+    straight = staged(
+        "CPNA-25",
+        vut,
+        scene=PLAIN,
+        speed_kmh=40.0,
+    )
+    same = staged(
+        "CPNA-25",
+        vut,
+        scene=scene,
+        speed_kmh=40.0,
+    )
 
     for one, other in (
         (straight.vut_motion, same.vut_motion),
@@ -150,7 +170,12 @@ def test_a_lane_that_bends_only_far_away_is_driven_straight(vut):
         assert one.path.yaw_deg == pytest.approx(other.path.yaw_deg, abs=1e-9)
 
     # As far as the bend, the lane is followed.
-    far = staged("CBLA-50", vut, scene=scene, speed_kmh=45.0)
+    far = staged(
+        "CBLA-50",
+        vut,
+        scene=scene,
+        speed_kmh=45.0,
+    )
     assert isinstance(far.vut_motion.path, TowedPath)
 
 
@@ -158,14 +183,15 @@ def test_a_lane_that_bends_only_far_away_is_driven_straight(vut):
 def test_turns_lead_into_arms_that_lie_askew_and_pedestrians_cross_them_squarely(
     vut, bearing_deg
 ):
+    """The turn ends in the arm's direction; the crosswalk lies across the arm."""
     north = lanes_of("north", bearing_deg)
+    lanes = [*arm_lanes(without=["north", "east"]), *north]
     rim = [turned([MOUTH_M, 0.0], angle_deg) for angle_deg in range(0, 360, 10)]
-    scene = build_scene(
-        [*arm_lanes(without=["north", "east"]), *north], outline_m=np.array(rim)
-    )
+    scene = build_scene(lanes, outline_m=np.array(rim))
     encounter = staged("CPTAfs-50", vut, scene=scene)
     path = encounter.vut_motion.path
-    _, tangent_deg = front_axle_at(path, path.straight_m + path.turn.length_m)
+    turned_m = path.straight_m + path.turn.length_m
+    _, tangent_deg = front_axle_at(path, turned_m)
 
     assert tangent_deg == pytest.approx(bearing_deg)
 
@@ -176,20 +202,27 @@ def test_turns_lead_into_arms_that_lie_askew_and_pedestrians_cross_them_squarely
 
 
 def test_a_turn_follows_the_junctions_own_lane_where_there_is_one(vut):
+    """Lanes within the junction say which ways there are."""
     angle = np.radians(np.linspace(-90.0, 0.0, 20))
     radius_m = MOUTH_M + 0.5 * LANE_M
     on_circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     arc = radius_m * on_circle
     arc += [-MOUTH_M, MOUTH_M]
     scene = with_lanes(build_lane("through", arc, kind="connecting"))
+    arms = build_junction(scene).arms
+    plain_arms = build_junction(PLAIN).arms
 
-    assert build_junction(scene).arms.keys() == build_junction(PLAIN).arms.keys()
+    assert arms.keys() == plain_arms.keys()
 
-    path = staged("CPTAfs-50", vut, scene=scene).vut_motion.path
+    encounter = staged("CPTAfs-50", vut, scene=scene)
+    path = encounter.vut_motion.path
+
     assert isinstance(path, TowedPath)
 
     front, _ = path.course.at(np.linspace(0.0, 20.0, 30))
-    assert distance_to_chain_m(front, arc).max() < 0.15
+    off_m = distance_to_chain_m(front, arc)
+
+    assert off_m.max() < 0.15
 
     # Where the map has lanes through the junction, no other way is driven.
     told = "the map has no lane from the west to the south"
@@ -231,6 +264,7 @@ def left_turn(radius_m):
 
 @pytest.mark.parametrize("radius_m", [5.5, 8.0, 13.0])
 def test_a_turning_car_stays_within_a_centimetre_of_a_connecting_lane(vut, radius_m):
+    """Compared with the circle itself, not with the chords between its points."""
     scene, middle = left_turn(radius_m)
     path = staged("CPTAfs-50", vut, scene=scene).vut_motion.path
     front, _ = path.course.at(np.arange(-20.0, 50.0, 0.05))
@@ -247,8 +281,10 @@ def test_a_turning_car_stays_within_a_centimetre_of_a_connecting_lane(vut, radiu
     yaw = np.radians(yaw_deg)
     ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
     axle = position + vut.front_axle_ahead_m * ahead
+    off_m = distance_to_chain_m(axle, path.course.points_m[::5])
 
-    assert distance_to_chain_m(axle, path.course.points_m[::5]).max() < 0.001
+    # The front axle drags the rear one along the course.
+    assert off_m.max() < 0.001
 
 
 TWO_LANES = arm_lanes(n_lanes=2)
@@ -262,6 +298,7 @@ TWO_LANES = arm_lanes(n_lanes=2)
     ],
 )
 def test_a_turning_car_takes_the_lane_from_which_the_junction_leads(vut, begins, ends):
+    """Of two lanes, the one whose end the connecting lane begins at."""
     named = {lane.id: lane for lane in TWO_LANES}
     turn, _ = quarter_circle(9.0, before=named[begins], after=named[ends])
     scene = build_scene([*TWO_LANES, turn])
@@ -269,13 +306,17 @@ def test_a_turning_car_takes_the_lane_from_which_the_junction_leads(vut, begins,
     front, _ = path.course.at(np.linspace(-10.0, 30.0, 80))
     driven = (named[begins], turn, named[ends])
     chain = without_repeats([lane.centreline_m for lane in driven])
+    off_m = distance_to_chain_m(front, chain)
 
-    assert distance_to_chain_m(front, chain).max() < 0.01
+    assert off_m.max() < 0.01
 
 
 def test_without_a_lane_from_which_the_junction_leads_no_lane_is_followed(vut):
-    path = staged("CPTAfs-50", vut, scene=build_scene(TWO_LANES)).vut_motion.path
-    assert not isinstance(path, TowedPath)
+    """Between lanes that nothing connects, the car takes the protocol's curve."""
+    scene = build_scene(TWO_LANES)
+    encounter = staged("CPTAfs-50", vut, scene=scene)
+
+    assert not isinstance(encounter.vut_motion.path, TowedPath)
 
 
 # 3.5 and 6.2 m/s^2 to the side.
@@ -290,21 +331,32 @@ def test_a_connecting_lane_too_sharp_for_the_speed_is_left_for_the_protocols_cur
     vut, speed_kmh, follows
 ):
     scene, _ = left_turn(5.0)
-    encounter = staged("CPTAfs-50", vut, scene=scene, speed_kmh=speed_kmh)
+    encounter = staged(
+        "CPTAfs-50",
+        vut,
+        scene=scene,
+        speed_kmh=speed_kmh,
+    )
     assert isinstance(encounter.vut_motion.path, TowedPath) == follows
 
 
 def test_nobody_takes_the_junctions_own_lanes_for_another_junction(lay):
-    mouth = NAMED["west-in-0"].centreline_m[-1]
-    line = [mouth, NAMED["east-out-0"].centreline_m[0]]
-    through = build_lane("through", line, kind="connecting")
+    """The way may lead over them, and no next junction begins there."""
+    begin = NAMED["west-in-0"].centreline_m[-1]
+    end = NAMED["east-out-0"].centreline_m[0]
+    through = build_lane("through", [begin, end], kind="connecting")
     # The crosswalk lies so deep in the junction that 5 m before it is still inside.
     inside = build_junction(PLAIN).arms["west"].crosswalk
     ends = np.array([inside.at(-9.0), inside.at(9.0)])
     deep = ends + [8.0, 0.0]
     scene = with_lanes(through, crosswalks_m=deep[None])
     before = [Position(distance_m=5.0)]
-    runs, refusals = lay(scene, ["CPNA-25"], approaches=["west"], positions=before)
+    runs, refusals = lay(
+        scene,
+        ["CPNA-25"],
+        approaches=["west"],
+        positions=before,
+    )
 
     assert runs
     assert not refusals
@@ -313,10 +365,16 @@ def test_nobody_takes_the_junctions_own_lanes_for_another_junction(lay):
 def cycleway(off_m):
     """A track for cyclists beside the southern arm, so far off the junction's end."""
     line = NAMED["south-in-0"].centreline_m + [4.5, -off_m]
-    return build_lane("track", line, kind="cycling", width_m=2.0)
+    return build_lane(
+        "track",
+        line,
+        kind="cycling",
+        width_m=2.0,
+    )
 
 
 def test_cyclists_ride_on_the_arms_cycleway(vut):
+    """A cycleway is no lane for cars, but cyclists prefer it."""
     track = cycleway(0.0)
     scene = with_lanes(track)
     south = build_junction(scene).arms["south"]
@@ -324,8 +382,11 @@ def test_cyclists_ride_on_the_arms_cycleway(vut):
     assert [lane.id for lane in south.cycleways_in] == ["track"]
     assert [lane.id for lane in south.lanes_in] == ["south-in-0"]
 
-    rides = staged("CBNA-50", vut, scene=scene).vru_motion.path
-    assert rides.start_m[0] == pytest.approx(track.centreline_m[0, 0])
+    encounter = staged("CBNA-50", vut, scene=scene)
+    rides = encounter.vru_motion.path
+    east_m, _ = track.centreline_m[0]
+
+    assert rides.start_m[0] == pytest.approx(east_m)
 
 
 @pytest.mark.parametrize(
@@ -337,7 +398,8 @@ def test_cyclists_ride_on_the_arms_cycleway(vut):
     ],
 )
 def test_a_cycleway_may_end_a_little_beside_the_junctions_outline(off_m, n_found):
-    arms = build_junction(with_lanes(cycleway(off_m))).arms
+    scene = with_lanes(cycleway(off_m))
+    arms = build_junction(scene).arms
     counts = {name: len(arm.cycleways_in) for name, arm in arms.items()}
 
     assert counts == dict.fromkeys(ARMS, 0) | {"south": n_found}
@@ -347,18 +409,21 @@ def test_a_cycleway_may_end_a_little_beside_the_junctions_outline(off_m, n_found
 def test_cyclists_do_not_ride_between_the_lanes_of_one_direction_and_the_other(vut):
     south = lanes_of("south", 270.0, n_lanes=2)
     scene = build_scene([*arm_lanes(without=["south"]), *south])
-    path = staged("CBNA-50", vut, scene=scene).vru_motion.path
+    encounter = staged("CBNA-50", vut, scene=scene)
+    path = encounter.vru_motion.path
 
     # 0.75 m inside the edge of the outer lane: two lanes of 3.5 m.
     assert path.start_m[0] == pytest.approx(2.0 * LANE_M - 0.75)
 
 
 def test_a_cyclist_comes_from_a_road_that_exists(vut):
+    """Whoever rides ahead or behind on the VUT's own arm still does."""
     scene = build_scene(arm_lanes(without=["east"]))
     told = "no lane lies ahead from which the cyclist could come"
 
     with pytest.raises(NoRoadError, match=told):
         staged("CBTAfo-50", vut, scene=scene)
+
     assert staged("CBTAfs-100", vut, scene=scene)
 
 
@@ -366,6 +431,7 @@ def test_a_cyclist_comes_from_a_road_that_exists(vut):
 @pytest.mark.parametrize("name", ["CPNCO-50", "CBNA", "CBNA-50", "CBFA-50", "CBNAO-50"])
 @pytest.mark.parametrize("scene", [PLAIN, CURVED], ids=["straight", "curved"])
 def test_obstructions_stand_outside_the_carriageway(lay, name, scene):
+    """But for a strip 0.1 m wide: lanes that bend are chords."""
     runs, refusals = lay(scene, [name], approaches=["west"])
     assert all(one.reason.startswith("the lanes curve") for one in refusals)
 
@@ -378,8 +444,8 @@ def test_obstructions_stand_outside_the_carriageway(lay, name, scene):
                 length_m=body.actor.length_m,
                 width_m=body.actor.width_m,
             )
-            area = shapely.Polygon(corners).intersection(carriageway).area
-            assert area <= 0.1 * body.actor.length_m + 1e-6
+            on_road = shapely.Polygon(corners).intersection(carriageway)
+            assert on_road.area <= 0.1 * body.actor.length_m + 1e-6
 
 
 @pytest.mark.long
@@ -388,17 +454,22 @@ def test_parked_cars_give_way_to_a_pole_and_a_house_that_leaves_no_room_is_named
         scene = protocol_scene(boxes=boxes)
         return lay(scene, ["CPNCO-50"], approaches=["west"])
 
+    def first_place_m(runs):
+        first = runs[0].obstruction[0]
+        return first.pose.position_m[:2]
+
     free, _ = park()
-    first = free[0].obstruction[0].pose.position_m
-    pole = ("pole", first[0] + 1.9, first[1], 0.2, 0.2, 4.0)
+    place_m = first_place_m(free)
+    east_m, north_m = place_m
+    pole = ("pole", east_m + 1.9, north_m, 0.2, 0.2, 4.0)
     given_way, refusals = park(pole)
 
     assert not refusals
 
-    moved_m = given_way[0].obstruction[0].pose.position_m - first
-    assert 0.0 < np.linalg.norm(moved_m[:2]) <= 2.0
+    moved_m = first_place_m(given_way) - place_m
+    assert 0.0 < np.linalg.norm(moved_m) <= 2.0
 
-    house = ("house", first[0] - 5.0, -15.0, 12.0, 23.0, 6.0)
+    house = ("house", east_m - 5.0, -15.0, 12.0, 23.0, 6.0)
     runs, refusals = park(house)
 
     assert not runs
@@ -408,6 +479,7 @@ def test_parked_cars_give_way_to_a_pole_and_a_house_that_leaves_no_room_is_named
 
 
 def test_what_needs_a_road_that_is_missing_does_not_count_as_possible(lay):
+    """Another case on the same arm is driven."""
     scene = build_scene(arm_lanes(without=["north"]))
     _, refusals = lay(scene, ["CPTAfs-50", "CPLA-50"], approaches=["west"])
     (refusal,) = refusals
@@ -418,17 +490,21 @@ def test_what_needs_a_road_that_is_missing_does_not_count_as_possible(lay):
 
 def test_a_turn_that_no_curve_makes_is_refused(vut):
     # The lane out bends away at once, back towards where the VUT came from.
-    back = build_lane(
-        "north-out-0",
-        np.array(
-            [
-                [1.75, 11.5],
-                [1.0, 13.0],
-                [-6.0, 15.0],
-                [-9.0, 14.0],
-            ]
-        ),
+    line = np.array(
+        [
+            [1.75, 11.5],
+            [1.0, 13.0],
+            [-6.0, 15.0],
+            [-9.0, 14.0],
+        ]
     )
+    back = build_lane("north-out-0", line)
     scene = build_scene(exchanged(arm_lanes(), back))
+
     with pytest.raises(CannotCarryError, match="lane"):
-        staged("CPTAfs-50", vut, scene=scene, speed_kmh=20.0)
+        staged(
+            "CPTAfs-50",
+            vut,
+            scene=scene,
+            speed_kmh=20.0,
+        )

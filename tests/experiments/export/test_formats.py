@@ -24,24 +24,31 @@ CRS = load_study_scene().crs
 
 
 def test_csv_reads_back_bit_by_bit(layout, tmp_path):
+    """By Python's own reader; pandas' parser may be off by the last bit."""
+    records = layout_records(layout)
     path = tmp_path / "layout.csv"
     path.write_text(to_csv(layout))
+
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
 
-    for row, record in zip(rows, layout_records(layout), strict=True):
-        assert {key: type(record[key])(value) for key, value in row.items()} == record
+    for row, record in zip(rows, records, strict=True):
+        typed = {}
+        for key, value in row.items():
+            kind = type(record[key])
+            typed[key] = kind(value)
+        assert typed == record
 
-    # pandas' own parser may be off by the last bit.
     by_pandas = pd.read_csv(path)
-    pd.testing.assert_frame_equal(
-        by_pandas, pd.DataFrame(layout_records(layout)), rtol=1e-15
-    )
+    expected = pd.DataFrame(records)
+    pd.testing.assert_frame_equal(by_pandas, expected, rtol=1e-15)
 
 
 def test_geojson_is_at_the_junction_with_bearings():
+    """Bearings turn clockwise from north, yaws the other way from east."""
     layout = load_carlancap_layout()
     document = json.loads(to_geojson(layout, CRS))
+
     assert document["type"] == "FeatureCollection"
 
     for feature in document["features"]:
@@ -49,10 +56,14 @@ def test_geojson_is_at_the_junction_with_bearings():
         # West of 8 degrees east: the study's junction has negative x.
         assert 7.99 < longitude < 8.0
         assert 48.99 < latitude < 49.01
-    assert [feature["properties"] for feature in document["features"]] == [
-        record | {"bearing_deg": (90.0 - record["yaw_deg"]) % 360.0}
-        for record in layout_records(layout)
-    ]
+
+    expected = []
+    for record in layout_records(layout):
+        bearing_deg = (90.0 - record["yaw_deg"]) % 360.0
+        expected.append(record | {"bearing_deg": bearing_deg})
+
+    properties = [feature["properties"] for feature in document["features"]]
+    assert properties == expected
 
 
 @pytest.mark.long
@@ -65,25 +76,31 @@ def test_geojson_says_which_crs_is_unknown(layout):
 
 
 def test_geojson_refuses_a_layout_outside_its_crs():
-    far = unit_at("far", [1.0e12, 0.0, 7.0])
-    with refused_with(
+    unit = unit_at("far", [1.0e12, 0.0, 7.0])
+    far = Layout(name="far", units=(unit,))
+    told = (
         f"crs: got {CRS!r}; expected a coordinate reference system that contains the"
         " layout"
-    ):
-        to_geojson(Layout(name="far", units=(far,)), CRS)
+    )
+
+    with refused_with(told):
+        to_geojson(far, CRS)
 
 
 @pytest.mark.parametrize("build", [load_carlancap_layout, None])
 def test_carla_transforms_come_back_as_the_poses(layout, build):
+    """CARLA is left-handed, and writes numbers as text."""
     if build:
         layout = build()
     records = json.loads(to_carla(layout))
-    assert [record["id"] for record in records] == [unit.id for unit in layout.units]
+
+    ids = [unit.id for unit in layout.units]
+
+    assert [record["id"] for record in records] == ids
 
     for unit, record in zip(layout.units, records, strict=True):
-        location, rotation = (
-            record["transform"][key] for key in ("location", "rotation")
-        )
+        location = record["transform"]["location"]
+        rotation = record["transform"]["rotation"]
         pose = from_carla_pose(
             position_m=[location["x"], location["y"], location["z"]],
             yaw_deg=rotation["yaw"],
@@ -123,21 +140,31 @@ def test_a_lidar_is_exported_with_its_scan_pattern(layout):
         "sensor_tick": "0.1",
     }
 
-    with_header = list(csv.DictReader(to_csv(mixed).splitlines()))
-    assert [row["lidar"] for row in with_header] == ["carla-ncap-lidar", ""]
-    assert [row["camera"] for row in with_header] == ["", "carla-ncap-rgb"]
-    assert [row["latency_s"] for row in with_header] == ["0.1", ""]
+    lines = to_csv(mixed).splitlines()
+    first, second = csv.DictReader(lines)
+
+    assert first["lidar"] == "carla-ncap-lidar"
+    assert first["camera"] == ""
+    assert first["latency_s"] == "0.1"
+    assert second["lidar"] == ""
+    assert second["camera"] == "carla-ncap-rgb"
+    assert second["latency_s"] == ""
 
 
 def test_carla_has_no_minus_zero(layout):
-    assert "-0.0" not in to_carla(Layout(name="origin", units=layout.units[2:]))
+    """At the origin, the flipped axis would have one."""
+    origin = Layout(name="origin", units=layout.units[2:])
+    assert "-0.0" not in to_carla(origin)
 
 
 def test_every_format_is_text_of_the_whole_layout(layout):
+    scene = load_study_scene()
+
     for name in ("json", "csv", "geojson", "kml", "carla", "opencv", "ros", "cpm"):
-        text = load_format(name).write(layout, load_study_scene())
-        assert all(unit.id in text for unit in layout.units)
+        text = load_format(name).write(layout, scene)
         assert text.endswith("\n")
+        for unit in layout.units:
+            assert unit.id in text
 
 
 def test_json_text_has_null_for_what_json_lacks():
@@ -145,8 +172,10 @@ def test_json_text_has_null_for_what_json_lacks():
         "a": [np.inf, -np.inf, np.nan, 1.0],
         "b": {"c": np.float64("nan")},
         "d": np.int64(3),
+        "e": (np.array([0.5, np.inf]), True, None, "Inf"),
     }
-    text = to_json_text(document | {"e": (np.array([0.5, np.inf]), True, None, "Inf")})
+    text = to_json_text(document)
+
     assert json.loads(text) == {
         "a": [None, None, None, 1.0],
         "b": {"c": None},

@@ -26,7 +26,11 @@ FIELDS = {
 def layout_with(**fields):
     """A layout of one camera with some fields."""
     camera = read_sensor("mine", FIELDS | fields, "camera", "test")
-    pose = Pose(position_m=np.array([1.0, 2.0, 6.0]), yaw_deg=30.0, pitch_deg=-20.0)
+    pose = Pose(
+        position_m=np.array([1.0, 2.0, 6.0]),
+        yaw_deg=30.0,
+        pitch_deg=-20.0,
+    )
     unit = CandidatePose(
         id="north",
         site_id="",
@@ -44,6 +48,7 @@ def layout_with(**fields):
     ],
 )
 def test_carla_refuses_a_lens_in_one_line(lens):
+    """Its cameras are ideal pinholes."""
     layout = layout_with(lens=lens)
     what = (
         "got north, whose lens, principal point or roll it cannot carry; expected ideal"
@@ -54,12 +59,20 @@ def test_carla_refuses_a_lens_in_one_line(lens):
 
 
 def test_tsais_lens_is_refused_by_opencv():
+    """OpenCV's terms distort the other way round."""
+    layout = layout_with(lens={"model": "tsai", "kappa": 0.1})
+
     with pytest.raises(InputError, match="north: lens: got Tsai's radial term"):
-        to_opencv(layout_with(lens={"model": "tsai", "kappa": 0.1}))
+        to_opencv(layout)
 
 
 def test_a_calibration_has_principal_point_aspect_and_roll():
-    layout = layout_with(principal_point=[0.55, 0.45], pixel_aspect=1.02, roll_deg=90.0)
+    """Shares of the picture become pixels, counted from the first pixel's centre."""
+    layout = layout_with(
+        principal_point=[0.55, 0.45],
+        pixel_aspect=1.02,
+        roll_deg=90.0,
+    )
     (found,) = calibrations(layout, "opencv").values()
     focal = 960.0
     expected = [
@@ -73,6 +86,9 @@ def test_a_calibration_has_principal_point_aspect_and_roll():
 
     # Turned clockwise by a right angle, its right is what was down.
     (level,) = calibrations(layout_with(), "opencv").values()
-    assert found.R_camera_world[0] == pytest.approx(level.R_camera_world[1])
-    assert found.R_camera_world[1] == pytest.approx(-level.R_camera_world[0])
+    right, down, _ = found.R_camera_world
+    level_right, level_down, _ = level.R_camera_world
+
+    assert right == pytest.approx(level_down)
+    assert down == pytest.approx(-level_right)
     assert level.K[0, 2] == 959.5

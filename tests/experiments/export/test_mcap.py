@@ -31,6 +31,7 @@ pytest.importorskip("foxglove", reason="the extra mcap is not installed")
 reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
 
 SCENE = load_study_scene()
+LAYOUT = load_carlancap_layout()
 
 
 def read_mcap(content):
@@ -43,22 +44,26 @@ def read_mcap(content):
     factory = importlib.import_module("google.protobuf.message_factory")
     found = {}
     kinds = {}
-    for schema, channel, message in reader.make_reader(
-        BytesIO(content)
-    ).iter_messages():
+    messages = reader.make_reader(BytesIO(content)).iter_messages()
+
+    for schema, channel, message in messages:
         if channel.message_encoding == "json":
             value = json.loads(message.data)
         else:
+            # A schema is a set of files; classes of messages are made of them once.
             if schema.id not in kinds:
+                described = descriptors.FileDescriptorSet.FromString(schema.data)
                 pool = pools.DescriptorPool()
-                files = descriptors.FileDescriptorSet.FromString(schema.data).file
-                for file in files:
+                for file in described.file:
                     pool.Add(file)
                 kind = pool.FindMessageTypeByName(schema.name)
                 kinds[schema.id] = factory.GetMessageClass(kind)
             value = kinds[schema.id].FromString(message.data)
+
+        time_s = message.log_time / 1.0e9
         topic = found.setdefault(channel.topic, [])
-        topic.append((message.log_time / 1.0e9, value))
+        topic.append((time_s, value))
+
     return found
 
 
@@ -68,24 +73,34 @@ def watched():
     other does.
     """
     run = find_run("CPNCO-50/east/40", SCENE)
-    units = load_carlancap_layout().units
-    detected = {unit.id: np.zeros(len(run.time_s), dtype=bool) for unit in units}
-    detected[units[0].id][10:] = True
+    n_frames = len(run.time_s)
+    first, *others = LAYOUT.units
+    detected = {first.id: np.arange(n_frames) >= 10}
+    for unit in others:
+        detected[unit.id] = np.zeros(n_frames, dtype=bool)
+
     return WatchedRun(run=run, detected=detected, rule=load_aeb_rule())
 
 
 @pytest.fixture(scope="module")
 def topics(watched):
     """The run as it is read back."""
-    return read_mcap(to_mcap(load_carlancap_layout(), SCENE, watched))
+    content = to_mcap(LAYOUT, SCENE, watched)
+    return read_mcap(content)
 
 
 def test_bodies_are_where_the_run_has_them(topics, watched):
+    """Boxes stand on the road: their middles are half their heights above it."""
     run = watched.run
-    assert len(topics["/bodies"]) == len(run.time_s)
-    for frame, (time_s, update) in enumerate(topics["/bodies"]):
-        assert time_s == pytest.approx(run.time_s[frame] - run.time_s[0], abs=1e-6)
+    elapsed_s = run.time_s - run.time_s[0]
+    bodies = topics["/bodies"]
 
+    assert len(bodies) == len(run.time_s)
+
+    for frame, (time_s, update) in enumerate(bodies):
+        assert time_s == pytest.approx(elapsed_s[frame], abs=1e-6)
+
+        # Both who meet, and all that is parked.
         boxes = {entity.id: entity.cubes[0] for entity in update.entities}
         assert len(boxes) == 2 + len(run.obstruction) > 2
 
@@ -95,39 +110,52 @@ def test_bodies_are_where_the_run_has_them(topics, watched):
         ):
             pose = boxes[name].pose
             size = boxes[name].size
+            place = pose.position
+            east_m, north_m = at_m[frame]
             assert_allclose(
-                [pose.position.x, pose.position.y, pose.position.z],
-                [*at_m[frame], 0.5 * body.height_m],
+                [place.x, place.y, place.z],
+                [east_m, north_m, 0.5 * body.height_m],
                 atol=1e-9,
             )
 
+            # A turn about the vertical axis: w and z are cosine and sine of its half.
             turn = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
             off_deg = math.degrees(turn) - yaw_deg[frame]
+            off_deg = (off_deg + 180.0) % 360.0 - 180.0
 
-            assert (off_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-9)
+            assert off_deg == pytest.approx(0.0, abs=1e-9)
             assert size.x == body.length_m
             assert size.y == body.width_m
             assert size.z == body.height_m
 
 
 def test_detections_confirmation_and_braking_follow_the_rule(topics, watched):
+    """Three frames in a row confirm; 25 ms later the car knows."""
     states = [state for _, state in topics["/state"]]
-    first = load_carlancap_layout().units[0]
-    for frame, (state, (_, update)) in enumerate(
-        zip(states, topics["/detections"], strict=True)
-    ):
-        assert state["detecting"] == ([first.id] if frame >= 10 else [])
+    updates = [update for _, update in topics["/detections"]]
+    first = LAYOUT.units[0]
 
+    for frame, (state, update) in enumerate(zip(states, updates, strict=True)):
+        if frame >= 10:
+            detecting = [first.id]
+        else:
+            detecting = []
+        assert state["detecting"] == detecting
+
+        # A line from each unit that detects to the body.
         points = update.entities[0].lines[0].points
         assert len(points) == 2 * state["n_detecting"]
-        assert state["is_confirmed"] == (frame >= 12)  # the third in a row
-        assert state["would_brake"] == (frame >= 13)  # 25 ms later
+        # The third in a row.
+        assert state["is_confirmed"] == (frame >= 12)
+        # 25 ms later.
+        assert state["would_brake"] == (frame >= 13)
 
     assert states[-1]["last_brake_time_s"] == watched.run.last_brake_time_s
 
 
 def test_the_track_has_an_ellipse_and_turns_red_when_the_car_decides(topics, watched):
-    followed = follow_watched(watched, load_carlancap_layout().units)
+    """The ellipse holds 95 % of where the body may be."""
+    followed = follow_watched(watched, LAYOUT.units)
     states = [state for _, state in topics["/state"]]
     decides = [state["decides_to_brake"] for state in states]
 
@@ -138,39 +166,57 @@ def test_the_track_has_an_ellipse_and_turns_red_when_the_car_decides(topics, wat
 
     reds = []
     for frame, (_, update) in enumerate(topics["/decision"]):
-        ring, ways = (entity.lines for entity in update.entities)
+        ellipse, prediction = update.entities
+        ring = ellipse.lines
+        ways = prediction.lines
+        # From the frame on in which the track is confirmed.
         assert len(ring) == (frame >= 12)
 
         if not ring:
             continue
-        reds.append(ring[0].color.r > 0.8 and ring[0].color.g < 0.2)
-        points_m = np.array([[p.x, p.y] for p in ring[0].points])
-        off_m = points_m - followed.tracks.state[0, frame, :2]
-        inverse = np.linalg.inv(followed.tracks.covariance[frame, :2, :2])
+
+        colour = ring[0].color
+        reds.append(colour.r > 0.8 and colour.g < 0.2)
+        state = followed.tracks.state[0, frame]
+        covariance = followed.tracks.covariance[frame]
+        points_m = np.array([[point.x, point.y] for point in ring[0].points])
+        off_m = points_m - state[:2]
+        inverse = np.linalg.inv(covariance[:2, :2])
         # 95 % of a normal place in the plane: chi-square of two degrees, 5.991.
-        squared = np.einsum("ni,ij,nj->n", off_m, inverse, off_m)
+        squared = np.einsum(
+            "ni,ij,nj->n",
+            off_m,
+            inverse,
+            off_m,
+        )
         assert_allclose(squared, 5.991, atol=0.01)
 
+        # The way leads as far ahead as the body gets in a given time.
         first, *_, last = ways[0].points
-        speed_mps = math.hypot(last.x - first.x, last.y - first.y) / followed.ahead_s
-        along_mps = np.hypot(*followed.tracks.state[0, frame, 2:])
+        way_m = math.hypot(last.x - first.x, last.y - first.y)
+        speed_mps = way_m / followed.ahead_s
+        along_mps = np.linalg.norm(state[2:])
         assert speed_mps == pytest.approx(along_mps, abs=1e-9)
+
     assert reds == decides[12:]
 
 
 def test_frusta_show_the_corners_of_the_image(topics):
     """A frustum's far corners are projected to the corners of the picture."""
-    (_, update), units = topics["/units"][0], load_carlancap_layout().units
+    _, update = topics["/units"][0]
     by_id = {entity.id: entity for entity in update.entities}
-    assert list(by_id) == [unit.id for unit in units]
+    ids = [unit.id for unit in LAYOUT.units]
 
-    for unit in units:
-        line = by_id[unit.id].lines[0]
-        ((_, calibration),) = topics[f"/calibration/{unit.id}"]
+    assert list(by_id) == ids
+
+    for unit_id in ids:
+        line = by_id[unit_id].lines[0]
+        ((_, calibration),) = topics[f"/calibration/{unit_id}"]
         matrix = np.reshape(list(calibration.K), (3, 3))
-        ends = np.array([[point.x, point.y, point.z] for point in line.points])[1:]
-        pixels = ends @ matrix.T
-        pixels = pixels[:, :2] / pixels[:, 2:]
+        points = np.array([[point.x, point.y, point.z] for point in line.points])
+        # The first point is the camera itself.
+        projected = points[1:] @ matrix.T
+        pixels = projected[:, :2] / projected[:, 2:]
         width = calibration.width - 0.5
         height = calibration.height - 0.5
         assert_allclose(
@@ -186,82 +232,110 @@ def test_frusta_show_the_corners_of_the_image(topics):
 
 
 def test_the_scenes_meshes_are_whole(topics):
+    """Each triangle has three indices of vertices."""
     ((_, update),) = topics["/scene"]
-    assert [entity.id for entity in update.entities] == [
-        thing.id for thing in SCENE.instances
-    ]
+    drawn = [entity.id for entity in update.entities]
+    things = [thing.id for thing in SCENE.instances]
 
-    triangles = sum(len(entity.triangles[0].indices) // 3 for entity in update.entities)
-    assert triangles == len(SCENE.triangles)
+    assert drawn == things
+
+    n_indices = sum(len(entity.triangles[0].indices) for entity in update.entities)
+    assert n_indices == 3 * len(SCENE.triangles)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("build", [awkward_layout, large_layout])
 def test_any_layout_is_written_without_a_run(build):
+    """Then nothing moves: the scene, the units and their cameras."""
     layout = build()
     found = read_mcap(to_mcap(layout, SCENE))
+
     assert {"/scene", "/units", "/tf"} <= set(found)
 
+    # Each unit has a frame of coordinates of its own.
     ((_, transforms),) = found["/tf"]
-    assert [one.child_frame_id for one in transforms.transforms] == [
-        u.id for u in layout.units
-    ]
+    frames = [one.child_frame_id for one in transforms.transforms]
+    ids = [unit.id for unit in layout.units]
 
+    assert frames == ids
+
+    # Only cameras are calibrated.
+    calibrations = [topic for topic in found if topic.startswith("/calibration/")]
     cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
-    assert sum(topic.startswith("/calibration/") for topic in found) == len(cameras)
+
+    assert len(calibrations) == len(cameras)
 
 
 def test_a_recording_is_small(watched):
-    assert len(to_mcap(load_carlancap_layout(), SCENE, watched)) < 5_000_000
+    """Meshes and frusta are written once, not in each frame."""
+    content = to_mcap(LAYOUT, SCENE, watched)
+    assert len(content) < 5_000_000
 
 
 def test_foxgloves_layout_names_topics_that_exist(topics):
-
-    layout = read_json(Path("docs/files/foxglove.json"))
-    shown = set(layout["configById"]["3D!scene"]["topics"])
-    plotted = {
-        path["value"].split(".")[0]
-        for path in layout["configById"]["Plot!state"]["paths"]
-    }
+    """The file that the pages offer to users of Foxglove."""
+    panels = read_json(Path("docs/files/foxglove.json"))["configById"]
+    shown = set(panels["3D!scene"]["topics"])
+    plotted = set()
+    for path in panels["Plot!state"]["paths"]:
+        topic, *_ = path["value"].split(".")
+        plotted.add(topic)
 
     assert shown | plotted <= set(topics)
 
 
 @pytest.mark.long
 def test_pictures_are_what_a_reduced_camera_draws(watched):
-    layout = load_carlancap_layout()
-    one = replace(layout, units=layout.units[:1])
+    """But for what JPEG loses; they are 640 pixels wide."""
+    unit = LAYOUT.units[0]
+    one = replace(LAYOUT, units=(unit,))
     few = cut_run(watched.run, slice(2))
-    short = replace(
-        watched, run=few, detected={one.units[0].id: np.zeros(2, dtype=bool)}
+    unseen = {unit.id: np.zeros(2, dtype=bool)}
+    short = replace(watched, run=few, detected=unseen)
+    content = to_mcap(
+        one,
+        SCENE,
+        short,
+        pictures=Compute(),
     )
-    found = read_mcap(to_mcap(one, SCENE, short, pictures=Compute()))
-    (unit,) = one.units
+    found = read_mcap(content)
     ((_, calibration),) = found[f"/calibration/{unit.id}"]
 
     assert calibration.width == 640
 
     small = replace(unit.sensor, width_px=640, height_px=calibration.height)
     backdrop = build_backdrop(SCENE, few.obstruction)
+    weather = pick_weather(few.weather, "weather")
     images = found[f"/image/{unit.id}"]
+    times_s = [time_s for time_s, _ in images]
 
-    assert [time_s for time_s, _ in images] == pytest.approx([0.0, 0.1])
+    assert times_s == pytest.approx([0.0, 0.1])
 
     for frame, (_, image) in enumerate(images):
         assert image.frame_id == unit.id
         assert image.format == "jpeg"
 
-        shown = np.asarray(Image.open(BytesIO(image.data)), dtype=float)
-        weather = pick_weather(few.weather, "weather")
+        picture = Image.open(BytesIO(image.data))
+        shown = np.asarray(picture, dtype=float)
         drawn = draw_picture(
-            backdrop, few, frame, unit.pose, small, weather=weather
+            backdrop,
+            few,
+            frame,
+            unit.pose,
+            small,
+            weather=weather,
         ).rgb
-        assert np.abs(shown - drawn).mean() < 3.0  # of 255: JPEG
+        off = np.abs(shown - drawn)
+        assert off.mean() < 3.0  # of 255
+
     with pytest.raises(InputError, match="--pictures: got no run; expected --run"):
         to_mcap(one, SCENE, pictures=Compute())
 
 
 def test_pictures_of_other_formats_are_refused(run):
+    """Only recordings hold pictures."""
     asked = "export --format cpm --layout carlancap-12 --run CPNC-50/east/40"
-    line = refusal(run(asked, "--pictures"))
+    result = run(asked, "--pictures")
+    line = refusal(result)
+
     assert "--pictures: got it; expected none: cpm has no such option" in line

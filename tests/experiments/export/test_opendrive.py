@@ -22,6 +22,7 @@ from placement.layout import load_carlancap_layout
 
 @pytest.fixture(scope="module")
 def scene():
+    """The study's junction."""
     return load_study_scene()
 
 
@@ -43,7 +44,18 @@ def off_m(line: np.ndarray, others: list[np.ndarray]) -> float:
     """Largest distance of a line's points from the nearest of others."""
     from shapely import LineString, Point
 
-    return min(max(LineString(one).distance(Point(p)) for p in line) for one in others)
+    points = [Point(place) for place in line]
+    farthest_m = []
+    for other in others:
+        chain = LineString(other)
+        farthest_m.append(max(chain.distance(point) for point in points))
+
+    return min(farthest_m)
+
+
+def worst_m(lines: list[np.ndarray], others: list[np.ndarray]) -> float:
+    """Largest distance of any of several lines from the nearest of others."""
+    return max(off_m(line, others) for line in lines)
 
 
 def with_ways(scene, source):
@@ -67,10 +79,12 @@ def test_lanes_are_read_back_where_they_are(tmp_path, scene):
     theirs = driving(source.lanes)
 
     assert len(ours) == len(theirs)
-    assert max(off_m(line, theirs) for line in ours) < 0.01
+    assert worst_m(ours, theirs) < 0.01
 
     (one,) = survey_junctions(source)
-    assert set(one.arms) == set(build_junction(scene).arms)
+    junction = build_junction(scene)
+
+    assert set(one.arms) == set(junction.arms)
 
 
 @pytest.mark.long
@@ -82,45 +96,54 @@ def test_ways_of_the_map_are_read_back_and_none_is_assumed(tmp_path, scene):
     read = [lane.centreline_m[:, :2] for lane in again.connections]
 
     assert len(read) == len(ways) == 5
-    assert max(off_m(line, read) for line in ways) < 0.05
+    assert worst_m(ways, read) < 0.05
 
 
 @pytest.mark.long
 def test_a_mirrored_scene_keeps_left(tmp_path, scene):
     flip = np.array([1.0, -1.0])
-    lanes = tuple(
-        replace(lane, centreline_m=lane.centreline_m * flip) for lane in scene.lanes
-    )
+    lanes = []
+    for lane in scene.lanes:
+        lanes.append(replace(lane, centreline_m=lane.centreline_m * flip))
+
     turned = replace(
-        scene, lanes=lanes, outline_m=scene.outline_m * flip, keeps_left=True
+        scene,
+        lanes=tuple(lanes),
+        outline_m=scene.outline_m * flip,
+        keeps_left=True,
     )
     source = read_map(written(tmp_path, turned))
 
     assert source.keeps_left
 
+    ours = driving(turned.lanes)
     theirs = driving(source.lanes)
-    assert max(off_m(line, theirs) for line in driving(turned.lanes)) < 0.01
+
+    assert worst_m(ours, theirs) < 0.01
 
 
 @pytest.mark.long
 def test_from_each_lane_a_way_to_each_other_arm_is_assumed(tmp_path, scene):
     arms = build_junction(scene).arms.values()
     source = read_map(written(tmp_path, scene))
-    assert len(source.connections) == sum(len(arm.entry_lanes) for arm in arms) * (
-        len(arms) - 1
-    )
+    n_entries = sum(len(arm.entry_lanes) for arm in arms)
+    n_others = len(arms) - 1
+
+    assert len(source.connections) == n_entries * n_others
 
 
 @pytest.mark.long
 def test_poles_stand_where_the_units_hang(tmp_path, scene):
+    """A pole may be read as one, or as a thing that stands there."""
     source = read_map(written(tmp_path, scene))
-    read = {tuple(pole.position_m[:2].round(1)) for pole in source.poles}
-    read |= {
-        tuple(thing.vertices_m[:, :2].mean(axis=0).round(1)) for thing in source.things
-    }
+    read = [pole.position_m[:2] for pole in source.poles]
+    for thing in source.things:
+        read.append(thing.vertices_m[:, :2].mean(axis=0))
+
     for unit in load_carlancap_layout().units:
-        place = np.asarray(unit.pose.position_m)[:2]
-        assert min(np.hypot(*(np.array(one) - place)) for one in read) < 0.3
+        place = unit.pose.position_m[:2]
+        distances_m = np.linalg.norm(np.array(read) - place, axis=1)
+        assert distances_m.min() < 0.2
 
 
 def test_a_lane_that_widens_has_no_step(tmp_path, scene):
@@ -128,23 +151,34 @@ def test_a_lane_that_widens_has_no_step(tmp_path, scene):
     after it.
     """
     first = next(lane for lane in scene.lanes if lane.kind == "driving")
-    lanes = tuple(
-        replace(lane, width_m=5.0) if lane is first else lane for lane in scene.lanes
-    )
-    text = to_opendrive(load_carlancap_layout(), replace(scene, lanes=lanes))
-    ways = re.findall(r'<width sOffset="0.0" a="([\d.]+)" b="(-?[\d.e-]+)"', text)
+    lanes = []
+    for lane in scene.lanes:
+        if lane is first:
+            lane = replace(lane, width_m=5.0)
+        lanes.append(lane)
 
-    assert any(float(a) == 5.0 and float(b) < 0.0 for a, b in ways) or any(
-        float(b) > 0.0 for _, b in ways
-    )
+    widened = replace(scene, lanes=tuple(lanes))
+    text = to_opendrive(load_carlancap_layout(), widened)
+    # A width begins at a, and grows by b a metre.
+    widths = re.findall(r'<width sOffset="0.0" a="([\d.]+)" b="(-?[\d.e-]+)"', text)
+    narrows = any(float(a) == 5.0 and float(b) < 0.0 for a, b in widths)
+    widens = any(float(b) > 0.0 for _, b in widths)
+
+    assert narrows or widens
 
 
 def test_a_single_straight_lane_is_a_road(tmp_path):
+    line = np.array(
+        [
+            [-50.0, 0.0],
+            [-9.0, 0.0],
+        ]
+    )
     lane = Lane(
         id="a",
         kind="driving",
         width_m=3.0,
-        centreline_m=np.array([[-50.0, 0], [-9, 0]]),
+        centreline_m=line,
     )
     scene = load_study_scene()
     square = np.array(
@@ -155,21 +189,24 @@ def test_a_single_straight_lane_is_a_road(tmp_path):
             [-9.0, 9.0],
         ]
     )
-    text = to_opendrive(
-        load_carlancap_layout(), replace(scene, lanes=(lane,), outline_m=square)
-    )
+    alone = replace(scene, lanes=(lane,), outline_m=square)
+    text = to_opendrive(load_carlancap_layout(), alone)
 
     assert text.count("<road ") == 1
     assert 'length="41.0"' in text
 
 
 def test_netconvert_accepts_it(tmp_path, scene):
-    netconvert = shutil.which("netconvert", path=str(Path(sys.executable).parent))
+    """SUMO's converter makes a net of it, in which lanes are connected."""
+    programs = Path(sys.executable).parent
+    netconvert = shutil.which("netconvert", path=str(programs))
     if netconvert is None:
         pytest.skip("SUMO (extra traffic) is not installed")
+
     path = written(tmp_path, scene)
+    net = tmp_path / "net.xml"
     done = subprocess.run(
-        [netconvert, "--opendrive-files", path, "-o", tmp_path / "net.xml"],
+        [netconvert, "--opendrive-files", path, "-o", net],
         capture_output=True,
         text=True,
         check=False,
@@ -177,4 +214,4 @@ def test_netconvert_accepts_it(tmp_path, scene):
 
     assert done.returncode == 0, done.stderr
     assert "Error" not in done.stderr
-    assert (tmp_path / "net.xml").read_text().count("<connection ") > 0
+    assert "<connection " in net.read_text()

@@ -61,12 +61,16 @@ def some_runs():
     case.
     """
     lay = partial(
-        build_runs, load_study_scene(), vut=load_actors()["vut"], rule=load_aeb_rule()
+        build_runs,
+        load_study_scene(),
+        vut=load_actors()["vut"],
+        rule=load_aeb_rule(),
     )
-    cases = [
-        replace(load_cases()[name], vut_speeds_kmh=(speed_kmh,))
-        for name, speed_kmh in CASES.items()
-    ]
+    cases = []
+    for name, speed_kmh in CASES.items():
+        case = load_cases()[name]
+        cases.append(replace(case, vut_speeds_kmh=(speed_kmh,)))
+
     newer = []
     for name, pair in JUNCTION_2026.items():
         case = replace(load_cases()[name], vut_speeds_kmh=pair[:1])
@@ -77,7 +81,11 @@ def some_runs():
 
     runs, _ = lay(cases, weathers=WEATHERS)
     others, _ = lay([*met, *newer])
-    return {(run.case.name, run.weather): run for run in reversed([*runs, *others])}
+    found = {}
+    for run in (*runs, *others):
+        found.setdefault((run.case.name, run.weather), run)
+
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +99,16 @@ def written(some_runs):
     return text
 
 
+def export_of(run):
+    """The file of a run, on the study's roads."""
+    return to_openscenario(run, road_network="Town05.xodr")
+
+
+def names_and_values(root, tag):
+    """Names and values of all elements with a tag."""
+    return {one.get("name"): one.get("value") for one in root.iter(tag)}
+
+
 def rear_axle_m(actor):
     """Ahead of the middle of the box, by the facts (bicycle: ISO 19206-4)."""
     if actor.name == "cyclist":
@@ -99,6 +117,7 @@ def rear_axle_m(actor):
 
 
 def is_vehicle(actor):
+    """Whether a body has axles."""
     return actor.class_name != "pedestrian"
 
 
@@ -117,21 +136,19 @@ def read_trajectories(text):
             "scale": "1.0",
             "offset": "0.0",
         }
-        found[entity.entity] = np.array(
-            [
-                [time, at.x, at.y, np.degrees(at.h)]
-                for time, at in zip(line.time, line.positions, strict=True)
-            ]
-        )
+        vertices = []
+        for time, at in zip(line.time, line.positions, strict=True):
+            vertices.append([time, at.x, at.y, np.degrees(at.h)])
+        found[entity.entity] = np.array(vertices)
+
     return found
 
 
 def middles_m(track, ahead_m):
     """From reference points back to the middles of the footprints, (n, 2)."""
     yaw_rad = np.radians(track[:, 3])
-    return track[:, 1:3] - ahead_m * np.stack(
-        [np.cos(yaw_rad), np.sin(yaw_rad)], axis=1
-    )
+    ahead = np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=1)
+    return track[:, 1:3] - ahead_m * ahead
 
 
 def initial(root, entity):
@@ -149,17 +166,23 @@ def init_position(root, entity):
 def init_speed_mps(root, entity):
     """How fast a body begins."""
     private = initial(root, entity)
-    return float(next(private.iter("AbsoluteTargetSpeed")).get("value"))
+    (target,) = private.iter("AbsoluteTargetSpeed")
+    return float(target.get("value"))
 
 
 def box_of(root, entity):
     """Element and bounding box of a body."""
-    body = next(o for o in root.iter("ScenarioObject") if o.get("name") == entity)[0]
+    objects = {one.get("name"): one for one in root.iter("ScenarioObject")}
+    body = objects[entity][0]
     center = body.find("BoundingBox/Center")
     size = body.find("BoundingBox/Dimensions")
-    return body, {key: float(center.get(key)) for key in "xyz"} | {
-        key: float(size.get(key)) for key in ("length", "width", "height")
-    }
+    box = {}
+    for key in ("x", "y", "z"):
+        box[key] = float(center.get(key))
+    for key in ("length", "width", "height"):
+        box[key] = float(size.get(key))
+
+    return body, box
 
 
 @pytest.fixture(scope="module")
@@ -167,11 +190,9 @@ def schema():
     """The standard's schema, as the library brings it."""
     import xmlschema
 
-    (path,) = (
-        file.locate()
-        for file in importlib.metadata.files("scenariogeneration")
-        if file.name == "OpenSCENARIO_1_3_1.xsd"
-    )
+    files = importlib.metadata.files("scenariogeneration")
+    by_name = {file.name: file for file in files}
+    path = by_name["OpenSCENARIO_1_3_1.xsd"].locate()
     return xmlschema.XMLSchema(str(path))
 
 
@@ -189,7 +210,8 @@ def test_the_schema_accepts_every_kind_of_run(schema, some_runs, case, weather):
     per vertex.
     """
     end = cut_run(some_runs[case, weather], slice(-6, None))
-    schema.validate(ET.fromstring(to_openscenario(end, road_network="Town05.xodr")))
+    root = ET.fromstring(export_of(end))
+    schema.validate(root)
 
 
 @needs_library
@@ -199,29 +221,42 @@ def test_trajectories_read_back_are_the_frames_to_a_millimetre(
 ):
     run = some_runs[case, "day"]
     tracks = read_trajectories(written(case))
+
     assert set(tracks) == {"vut", "vru"}
 
-    ahead_m = {
-        "vut": rear_axle_m(run.encounter.vut),
-        "vru": rear_axle_m(run.encounter.vru) if is_vehicle(run.encounter.vru) else 0.0,
-    }
+    vru = run.encounter.vru
+    ahead_m = {"vut": rear_axle_m(run.encounter.vut), "vru": 0.0}
+    if is_vehicle(vru):
+        ahead_m["vru"] = rear_axle_m(vru)
+
     for name, position_m, yaw_deg in (
         ("vut", run.vut_position_m, run.vut_yaw_deg),
         ("vru", run.vru_position_m, run.vru_yaw_deg),
     ):
         # Further vertices of turns are on the way, too.
         times_s = tracks[name][:, 0] + run.time_s[0]
-        is_frame = np.abs(times_s[:, None] - run.time_s).min(axis=1) < 1e-6
+        apart_s = np.abs(times_s[:, None] - run.time_s)
+        is_frame = apart_s.min(axis=1) < 1e-6
         track = tracks[name][is_frame]
 
-        assert_allclose(track[:, 0], run.time_s - run.time_s[0], rtol=0.0, atol=1e-6)
+        elapsed_s = run.time_s - run.time_s[0]
         assert_allclose(
-            middles_m(track, ahead_m[name]), position_m, rtol=0.0, atol=1e-3
+            track[:, 0],
+            elapsed_s,
+            rtol=0.0,
+            atol=1e-6,
+        )
+        assert_allclose(
+            middles_m(track, ahead_m[name]),
+            position_m,
+            rtol=0.0,
+            atol=1e-3,
         )
 
         turned_deg = (track[:, 3] - yaw_deg + 180.0) % 360.0 - 180.0
+        jumps_deg = np.abs(np.diff(track[:, 3]))
         assert_allclose(turned_deg, 0.0, atol=1e-3)
-        assert (np.abs(np.diff(track[:, 3])) < 90.0).all()
+        assert (jumps_deg < 90.0).all()
 
 
 @needs_library
@@ -229,31 +264,40 @@ def test_trajectories_read_back_are_the_frames_to_a_millimetre(
 def test_a_run_whose_last_frame_is_before_the_impact_still_ends_at_the_impact(
     some_runs, written, case
 ):
+    """Trajectories go on to the impact at time 0, whichever frames there are."""
     whole = some_runs[case, "day"]
     early = cut_run(whole, slice(-1))
-    assert to_openscenario(early, road_network="Town05.xodr") == written(case)
+    assert export_of(early) == written(case)
 
 
 @needs_library
 @pytest.mark.parametrize("case", EVERY_CASE)
 def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, written, case):
+    """Init actions and first vertices agree."""
     run = some_runs[case, "day"]
     text = written(case)
     root = ET.fromstring(text)
     tracks = read_trajectories(text)
+
     for name, motion in (
         ("vut", run.encounter.vut_motion),
         ("vru", run.encounter.vru_motion),
     ):
         x_m, y_m, z_m, yaw_rad = init_position(root, name)
-        np.testing.assert_array_equal([x_m, y_m, z_m], [*tracks[name][0, 1:3], 0.0])
-        assert np.degrees(yaw_rad) == pytest.approx(tracks[name][0, 3])
+        _, first_x_m, first_y_m, first_yaw_deg = tracks[name][0]
+        assert x_m == first_x_m
+        assert y_m == first_y_m
+        assert z_m == 0.0
+        assert np.degrees(yaw_rad) == pytest.approx(first_yaw_deg)
 
-        step_s = np.array([0.0, 1.0e-4])
-        slope_mps = np.diff(motion.distance_m(run.time_s[0] + step_s))[0] / 1.0e-4
+        step_s = 1.0e-4
+        times_s = run.time_s[0] + np.array([0.0, step_s])
+        (step_m,) = np.diff(motion.distance_m(times_s))
+        slope_mps = step_m / step_s
         assert init_speed_mps(root, name) == pytest.approx(slope_mps, abs=2e-3)
 
-    assert {init_speed_mps(root, "vut")} <= {0.0, round(run.vut_speed_kmh / 3.6, 3)}
+    speed_mps = round(run.vut_speed_kmh / 3.6, 3)
+    assert init_speed_mps(root, "vut") in (0.0, speed_mps)
 
 
 @needs_library
@@ -261,6 +305,7 @@ def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, written
 def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(
     some_runs, written, case
 ):
+    """Vehicles refer to their rear axle, people to their middle."""
     run = some_runs[case, "day"]
     root = ET.fromstring(written(case))
     bodies = {"vut": run.encounter.vut, "vru": run.encounter.vru} | {
@@ -292,31 +337,40 @@ def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(
             rear = body.find("Axles/RearAxle")
             assert float(rear.get("positionX")) == 0.0
 
-            inside_m = [
-                middle_m - actor.length_m / 2.0,
-                middle_m + actor.length_m / 2.0,
-            ]
+            # Wheels are within the body, and touch the road.
+            rear_end_m = middle_m - actor.length_m / 2.0
+            front_end_m = middle_m + actor.length_m / 2.0
             radius_m = float(front.get("wheelDiameter")) / 2.0
+            ahead_m = float(front.get("positionX"))
+            up_m = float(front.get("positionZ"))
 
-            assert inside_m[0] <= -radius_m + 1e-9
-            assert float(front.get("positionX")) + radius_m <= inside_m[1] + 1e-9
-            assert float(front.get("positionZ")) == pytest.approx(radius_m)
+            assert rear_end_m <= -radius_m + 1e-9
+            assert ahead_m + radius_m <= front_end_m + 1e-9
+            assert up_m == pytest.approx(radius_m)
 
 
 @needs_library
 def test_parked_bodies_stand_where_the_run_has_them(some_runs, written):
+    """To a millimetre, as bodies that move."""
     n_seen = 0
     for case in (*CASES, *JUNCTION_2026):
         run = some_runs[case, "day"]
         root = ET.fromstring(written(case))
         for index, placed in enumerate(run.obstruction, 1):
-            x_m, y_m, _, yaw_rad = init_position(root, f"obstruction-{index}")
-            _, box = box_of(root, f"obstruction-{index}")
-            track = np.array([[0.0, x_m, y_m, np.degrees(yaw_rad)]])
+            name = f"obstruction-{index}"
+            x_m, y_m, _, yaw_rad = init_position(root, name)
+            yaw_deg = np.degrees(yaw_rad)
+            _, box = box_of(root, name)
+            track = np.array([[0.0, x_m, y_m, yaw_deg]])
             (middle_m,) = middles_m(track, -box["x"])
 
-            assert_allclose(middle_m, placed.pose.position_m[:2], atol=1e-3, rtol=0.0)
-            assert np.degrees(yaw_rad) == pytest.approx(placed.pose.yaw_deg, abs=1e-3)
+            assert_allclose(
+                middle_m,
+                placed.pose.position_m[:2],
+                atol=1e-3,
+                rtol=0.0,
+            )
+            assert yaw_deg == pytest.approx(placed.pose.yaw_deg, abs=1e-3)
 
             n_seen += 1
     assert n_seen >= 8
@@ -336,6 +390,7 @@ def test_parked_bodies_stand_where_the_run_has_them(some_runs, written):
 def test_road_users_have_the_standards_kinds_and_riders_are_named(
     written, case, element, category
 ):
+    """A rider is no entity of its own, but a note of the vehicle."""
     root = ET.fromstring(written(case))
     body, _ = box_of(root, "vru")
 
@@ -343,13 +398,15 @@ def test_road_users_have_the_standards_kinds_and_riders_are_named(
     assert body.get(f"{element.lower()}Category") == category
 
     notes = [p.get("value") for p in body.iter("Property") if p.get("name") == "note"]
-    assert any("rider" in note for note in notes) == (
-        category in ("bicycle", "motorbike")
-    )
+    names_rider = any("rider" in note for note in notes)
+    has_rider = category in ("bicycle", "motorbike")
+
+    assert names_rider == has_rider
 
 
 @needs_library
 def test_a_wall_is_an_object_that_is_no_vehicle(some_runs):
+    """It has no axles to refer to."""
     run = some_runs["CPNCO-50", "day"]
     corners = np.zeros((3, 3))
     wall = replace(
@@ -364,47 +421,51 @@ def test_a_wall_is_an_object_that_is_no_vehicle(some_runs):
         front_axle_ahead_m=0.0,
     )
     placed = replace(run.obstruction[0], actor=wall)
-    root = ET.fromstring(
-        to_openscenario(replace(run, obstruction=(placed,)), road_network="Town05.xodr")
-    )
+    walled = replace(run, obstruction=(placed,))
+    root = ET.fromstring(export_of(walled))
     body, box = box_of(root, "obstruction-1")
+    place = init_position(root, "obstruction-1")
 
     assert body.tag == "MiscObject"
     assert box["x"] == 0.0
     assert box["z"] == 1.1
     assert box["length"] == 20.0
-    assert_allclose(
-        init_position(root, "obstruction-1")[:2], placed.pose.position_m[:2], atol=1e-6
-    )
+    assert_allclose(place[:2], placed.pose.position_m[:2], atol=1e-6)
 
 
 @needs_library
 def test_every_body_of_the_catalogue_and_every_weather_is_described(some_runs):
+    """Export checks its own file against the schema."""
     run = cut_run(some_runs["CPNCO-50", "day"], slice(-6, None))
     (placed, *_) = run.obstruction
     everybody = tuple(replace(placed, actor=actor) for actor in load_actors().values())
+
     for weather in WEATHERS:
-        to_openscenario(
-            replace(run, obstruction=everybody, weather=weather),
-            road_network="Town05.xodr",
-        )
+        crowded = replace(run, obstruction=everybody, weather=weather)
+        assert export_of(crowded)
 
 
 @needs_library
 def test_weather_sets_sun_rain_road_and_lights(written):
+    """Lights are on at night and in fog."""
     sky = {}
     for weather in WEATHERS:
         root = ET.fromstring(written("CPNA-25", weather))
         (found,) = root.iter("Weather")
+        rain = found.find("Precipitation")
+        elevation = float(found.find("Sun").get("elevation"))
+        intensity = float(rain.get("precipitationIntensity"))
+        range_m = float(found.find("Fog").get("visualRange"))
+        road = next(root.iter("RoadCondition"))
         sky[weather] = (
-            float(found.find("Sun").get("elevation")) > 0.0,
-            found.find("Precipitation").get("precipitationType"),
-            float(found.find("Precipitation").get("precipitationIntensity")) > 0.0,
-            float(found.find("Fog").get("visualRange"))
-            < 1000.0,  # WMO-No. 8: less is fog
-            next(root.iter("RoadCondition")).get("wetness"),
+            elevation > 0.0,
+            rain.get("precipitationType"),
+            intensity > 0.0,
+            range_m < 1000.0,  # WMO-No. 8: less is fog
+            road.get("wetness"),
             [light.get("vehicleLightType") for light in root.iter("VehicleLight")],
         )
+
     assert sky == {
         "day": (True, "dry", False, False, "dry", []),
         "night": (False, "dry", False, False, "dry", ["lowBeam"]),
@@ -415,14 +476,19 @@ def test_weather_sets_sun_rain_road_and_lights(written):
 
 @needs_library
 def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs):
+    """Times count from the beginning of the file, not to the impact."""
     run = some_runs["CPNCO-50", "night"]
-    root = ET.fromstring(to_openscenario(run, road_network="maps/Town05.xodr"))
-    assert root.find("RoadNetwork/LogicFile").get("filepath") == "maps/Town05.xodr"
+    roads = "maps/Town05.xodr"
+    text = to_openscenario(run, road_network=roads)
+    root = ET.fromstring(text)
+    file = root.find("RoadNetwork/LogicFile")
+
+    assert file.get("filepath") == roads
 
     header = root.find("FileHeader")
     assert header.get("revMajor") == "1"
     assert header.get("revMinor") == "3"
-    assert {p.get("name"): p.get("value") for p in header.iter("Property")} == {
+    assert names_and_values(header, "Property") == {
         "run": run.id,
         "case": "CPNCO-50",
         "source": "protocol-4.5.1",
@@ -434,17 +500,16 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
         "is_avoidable_by_braking": "true",
     }
 
-    times_s = {
-        p.get("name"): float(p.get("value")) for p in root.iter("ParameterDeclaration")
+    declared = names_and_values(root, "ParameterDeclaration")
+    times_s = {name: float(value) for name, value in declared.items()}
+    expected_s = {
+        "impact_time_s": -run.time_s[0],
+        "last_brake_time_s": run.last_brake_time_s - run.time_s[0],
     }
-    assert times_s == pytest.approx(
-        {
-            "impact_time_s": -run.time_s[0],
-            "last_brake_time_s": run.last_brake_time_s - run.time_s[0],
-        },
-        abs=1e-6,
-    )
 
+    assert times_s == pytest.approx(expected_s, abs=1e-6)
+
+    # The file ends with the impact.
     stop = root.find("Storyboard/StopTrigger")
     (condition,) = stop.iter("SimulationTimeCondition")
 
@@ -454,64 +519,60 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
 
 @needs_library
 def test_a_run_that_no_braking_avoids_has_no_last_brake_time(some_runs):
+    """The file says that braking does not avoid it."""
     run = replace(some_runs["CPNA-25", "day"], last_brake_time_s=-np.inf)
-    root = ET.fromstring(to_openscenario(run, road_network="Town05.xodr"))
-    assert [p.get("name") for p in root.iter("ParameterDeclaration")] == [
-        "impact_time_s"
-    ]
+    root = ET.fromstring(export_of(run))
+    declared = names_and_values(root, "ParameterDeclaration")
+    said = names_and_values(root, "Property")
 
-    (avoidable,) = (
-        p.get("value")
-        for p in root.iter("Property")
-        if p.get("name").startswith("is_avoidable")
-    )
-    assert avoidable == "false"
+    assert list(declared) == ["impact_time_s"]
+    assert said["is_avoidable_by_braking"] == "false"
 
 
 @needs_library
 def test_the_same_run_gives_the_same_text_whatever_the_library_wrote_before(
     some_runs, written
 ):
+    """The library keeps the version of the format in a global state."""
     from scenariogeneration import xosc
 
     run = some_runs["CPNA-25", "night"]
     first = written("CPNA-25", "night")
     xosc.VersionBase().setVersion(minor=0)
     try:
-        assert to_openscenario(run, road_network="Town05.xodr") == first
+        assert export_of(run) == first
     finally:
         xosc.VersionBase().setVersion(minor=3)
-    values = [
-        value for part in ET.fromstring(first).iter() for value in part.attrib.values()
-    ]
 
-    assert "-0.0" not in values
+    for part in ET.fromstring(first).iter():
+        assert "-0.0" not in part.attrib.values()
 
 
 @needs_library
 def test_headings_do_not_jump_by_a_full_turn(some_runs, written):
+    """Another program may turn the body once round between two frames."""
     run = some_runs["CPTAfs-50", "day"]
     yaw_deg = np.array(run.vut_yaw_deg)
     yaw_deg[len(yaw_deg) // 2 :] -= 360.0
-    again = to_openscenario(
-        replace(run, vut_yaw_deg=yaw_deg), road_network="Town05.xodr"
-    )
+    again = export_of(replace(run, vut_yaw_deg=yaw_deg))
 
     assert again == written("CPTAfs-50")
 
 
 @needs_library
 def test_words_of_a_case_are_escaped(some_runs):
+    """The file stays XML, and the words come back as they were."""
     run = some_runs["CPNA-25", "day"]
     title = 'adult <"fast"> & far'
-    root = ET.fromstring(
-        to_openscenario(
-            replace(run, case=replace(run.case, title=title)), road_network="a & b.xodr"
-        )
-    )
+    roads = "a & b.xodr"
+    titled = replace(run, case=replace(run.case, title=title))
+    text = to_openscenario(titled, road_network=roads)
+    root = ET.fromstring(text)
+    header = root.find("FileHeader")
+    file = root.find("RoadNetwork/LogicFile")
 
-    assert root.find("FileHeader").get("description") == f"{run.id}: {title}"
-    assert root.find("RoadNetwork/LogicFile").get("filepath") == "a & b.xodr"
+    assert header.get("description") == f"{run.id}: {title}"
+    assert file.get("filepath") == roads
 
 
 @needs_library
@@ -545,6 +606,7 @@ def test_a_file_that_the_schema_rejects_is_named_with_place_and_reason(
 
     with pytest.raises(InputError) as caught:
         validate_openscenario(break_it(text))
+
     assert where in caught.value.where
     assert reason in str(caught.value)
     assert caught.value.expected == "XML that OpenSCENARIO_1_3_1.xsd accepts"
@@ -555,10 +617,10 @@ def test_what_cannot_be_exported_is_refused(some_runs):
     run = some_runs["CPNA-25", "day"]
     with pytest.raises(InputError, match="road_network: got ''"):
         to_openscenario(run, road_network="")
-    with pytest.raises(
-        InputError, match="weather: got 'hail'; expected one of day, fog, night, rain"
-    ):
-        to_openscenario(replace(run, weather="hail"), road_network="Town05.xodr")
+
+    told = "weather: got 'hail'; expected one of day, fog, night, rain"
+    with pytest.raises(InputError, match=told):
+        export_of(replace(run, weather="hail"))
 
     for changes, reason in (
         ({"wheelbase_m": 0.0}, "actor vut.wheelbase_m: got 0.0; expected > 0 metres"),
@@ -567,19 +629,20 @@ def test_what_cannot_be_exported_is_refused(some_runs):
             "class_name: got 'tram'; expected one of",
         ),
     ):
-        odd = replace(run.encounter, vut=replace(run.encounter.vut, **changes))
+        vut = replace(run.encounter.vut, **changes)
+        odd = replace(run.encounter, vut=vut)
         with pytest.raises(InputError) as caught:
-            to_openscenario(replace(run, encounter=odd), road_network="Town05.xodr")
+            export_of(replace(run, encounter=odd))
         assert reason in str(caught.value)
 
 
 def test_without_the_library_the_extra_is_named(some_runs, monkeypatch):
+    """The way to install it is part of the line."""
     monkeypatch.setitem(sys.modules, "scenariogeneration.xosc", None)
     load_xosc.cache_clear()
     try:
-        with pytest.raises(
-            MissingExtraError, match=r"pip install place-rsus\[openscenario\]"
-        ):
-            to_openscenario(some_runs["CPNA-25", "day"], road_network="Town05.xodr")
+        told = r"pip install place-rsus\[openscenario\]"
+        with pytest.raises(MissingExtraError, match=told):
+            export_of(some_runs["CPNA-25", "day"])
     finally:
         load_xosc.cache_clear()

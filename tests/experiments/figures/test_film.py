@@ -78,6 +78,7 @@ def test_bodies_stand_where_the_run_has_them(child, strip):
 
     for position in (child.vut_position_m[-1], child.vru_position_m[-1]):
         assert np.hypot(*(middles - position).T).min() == pytest.approx(0.0, abs=1e-9)
+
     assert vut.length_m > 4.0
 
 
@@ -103,11 +104,16 @@ def test_an_animation_has_a_picture_per_frame_and_tells_its_progress(
     path = tmp_path / "film.gif"
     told = []
     save_film(
-        path, load_study_scene(), run, progress=lambda stage, *done: told.append(done)
+        path,
+        load_study_scene(),
+        run,
+        progress=lambda stage, *done: told.append(done),
     )
+
     with Image.open(path) as film:
         n_frames = film.n_frames
         milliseconds = film.info["duration"]
+
     shown = run.time_s >= max(
         run.encounter.vru_motion.start_time_s, run.last_brake_time_s - 0.1
     )

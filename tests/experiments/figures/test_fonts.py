@@ -21,11 +21,14 @@ def crossing(name, tmp_path):
         before, after = (osm.node(*end) for end in ends)
         tags = {"highway": "primary", "lanes": "2", "name": name}
         osm.way([before, middle, after], tags)
+
     return import_scene([osm.write(tmp_path)], ImportOptions()).scene
 
 
 def test_letters_of_the_default_font_need_no_other_one():
-    assert families_for("Mill Street") == families_for("Müllerstraße") == ()
+    """Umlauts are among them."""
+    assert families_for("Mill Street") == ()
+    assert families_for("Müllerstraße") == ()
 
 
 def test_letters_that_no_font_has_are_found_out():
@@ -35,6 +38,7 @@ def test_letters_that_no_font_has_are_found_out():
 
 
 def test_another_font_is_asked_beside_the_default_one(monkeypatch):
+    """Where one with Chinese letters is installed."""
     found = families_for("北大街")
     installed = {font.name for font in fontManager.ttflist}
     if found is None:
@@ -53,4 +57,5 @@ def test_a_street_that_cannot_be_drawn_is_named_by_its_arm(tmp_path, monkeypatch
 
     monkeypatch.setattr(fonts, "families_for", lambda text: None)
     drawn = {label.text for label in arm_names(scene, middle, 60.0)}
+
     assert drawn == {"north arm", "east arm", "south arm", "west arm"}

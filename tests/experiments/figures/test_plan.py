@@ -24,6 +24,12 @@ from placement.setting import build_setting
 CAMERA = load_cameras()["carla-ncap-rgb"]
 
 
+def study_layout(n_units):
+    """The first of the study's units, as a layout."""
+    units = load_carlancap_layout().units[:n_units]
+    return Layout(name="mine", units=units)
+
+
 def lines_of(axes):
     """Lines of a figure by their names."""
     return {line.get_gid(): line for line in axes.get_lines()}
@@ -37,9 +43,8 @@ def texts_of(shown):
 @pytest.fixture(scope="module")
 def setting():
     """The study's cases at its junction."""
-    return build_setting(
-        Question(cases="CPNC-50,CBNA,CBLA", along_arms="0"), load_study_scene()
-    )
+    question = Question(cases="CPNC-50,CBNA,CBLA", along_arms="0")
+    return build_setting(question, load_study_scene())
 
 
 def is_inside(points_m, corners_m):
@@ -47,32 +52,46 @@ def is_inside(points_m, corners_m):
     edge.
     """
     edges = np.roll(corners_m, -1, axis=0) - corners_m
-    lengths = np.hypot(*edges.T)
-    edges = edges[lengths > 1e-9]
-    starts = corners_m[lengths > 1e-9]
-    normals = (
-        np.stack([-edges[:, 1], edges[:, 0]], axis=1) / lengths[lengths > 1e-9, None]
-    )
-    return ((points_m[:, None] - starts) * normals).sum(axis=2).min(axis=1)
+    lengths = np.linalg.norm(edges, axis=-1)
+    is_edge = lengths > 1e-9
+    edges = edges[is_edge]
+    starts = corners_m[is_edge]
+    inwards = np.stack([-edges[:, 1], edges[:, 0]], axis=1)
+    normals = inwards / lengths[is_edge, None]
+
+    # How far each point is to the left of each edge.
+    ways = points_m[:, None] - starts
+    left_m = (ways * normals).sum(axis=2)
+    return left_m.min(axis=1)
 
 
 @given(
-    st.floats(-180.0, 180.0),
-    st.floats(-85.0, 40.0),
-    st.floats(2.0, 12.0),
-    st.floats(5.0, 60.0),
+    yaw_deg=st.floats(-180.0, 180.0),
+    pitch_deg=st.floats(-85.0, 40.0),
+    height_m=st.floats(2.0, 12.0),
+    max_range_m=st.floats(5.0, 60.0),
 )
 def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
     yaw_deg, pitch_deg, height_m, max_range_m
 ):
+    """Random places are inside where the camera projects them into its image."""
+    # Somewhere: a footprint moves along with its unit.
     place_m = [3.0, -4.0, height_m]
-    unit = unit_at("u", place_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    unit = unit_at(
+        "u",
+        place_m,
+        yaw_deg=yaw_deg,
+        pitch_deg=pitch_deg,
+    )
     corners = ground_footprint(unit, max_range_m=max_range_m)
+
     rng = np.random.default_rng(0)
-    points = place_m[:2] + rng.uniform(-1.1, 1.1, (400, 2)) * max_range_m
+    away_m = rng.uniform(-1.1, 1.1, (400, 2)) * max_range_m
+    points = place_m[:2] + away_m
     ground = np.column_stack([points, np.zeros(400)])
-    column, row, depth = project_points(ground, unit.pose, CAMERA).T
-    range_m = np.hypot(*(points - place_m[:2]).T)
+    pixels = project_points(ground, unit.pose, CAMERA)
+    column, row, depth = pixels.T
+    range_m = np.linalg.norm(away_m, axis=-1)
     seen = (
         (depth > 0.0)
         & (column >= 0.0)
@@ -81,14 +100,17 @@ def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
         & (row <= CAMERA.height_px)
         & (range_m <= max_range_m)
     )
+
     if len(corners) == 0:
         assert not seen.any()
         return
+
     inside = is_inside(points, corners)
     # The disc is a polygon of 180 corners: 0.02 % too small at most.
     clear = np.abs(inside) > 1e-3 * max_range_m
+    is_drawn = inside > 0.0
 
-    np.testing.assert_array_equal(inside[clear] > 0.0, seen[clear])
+    np.testing.assert_array_equal(is_drawn[clear], seen[clear])
 
 
 def test_footprint_is_empty_above_the_horizon():
@@ -98,44 +120,46 @@ def test_footprint_is_empty_above_the_horizon():
 
 @pytest.mark.long
 def test_plan_marks_every_unit_at_its_position(setting):
+    """Its name points there, too."""
     layout = load_carlancap_layout()
     axes = plot_plan(setting, layout)
     marks = lines_of(axes)
+    # Names are annotations: they have the place that they belong to.
     names = {text.get_text(): text for text in axes.texts}
 
     for unit in layout.units:
-        np.testing.assert_array_equal(
-            np.ravel(marks[f"unit:{unit.id}"].get_data()), unit.pose.position_m[:2]
-        )
-        np.testing.assert_array_equal(names[unit.id].xy, unit.pose.position_m[:2])
+        place_m = unit.pose.position_m[:2]
+        mark = marks[f"unit:{unit.id}"]
+        np.testing.assert_array_equal(np.ravel(mark.get_data()), place_m)
+        np.testing.assert_array_equal(names[unit.id].xy, place_m)
 
 
 def test_plan_draws_other_layouts_but_labels_only_its_own(setting):
+    """Marks of others are open."""
     baseline = load_carlancap_layout()
-    mine = Layout(name="mine", units=baseline.units[:2])
-    axes = plot_plan(setting, mine, others=[baseline])
-    open_marks = [
-        line
-        for line in axes.get_lines()
-        if line.get_markerfacecolor() == "white" and isinstance(line.get_marker(), Path)
-    ]
+    axes = plot_plan(setting, study_layout(2), others=[baseline])
+    open_marks = []
+    for line in axes.get_lines():
+        is_open = line.get_markerfacecolor() == "white"
+        if is_open and isinstance(line.get_marker(), Path):
+            open_marks.append(line)
 
     assert len(open_marks) == 12
     assert not {"RSU2", "RSU11"} & set(texts_of(axes))
 
-    legend = axes.get_legend()
-    assert "the study's 12 cameras (carlancap-12): camera" in [
-        text.get_text() for text in legend.get_texts()
-    ]
+    entries = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert "the study's 12 cameras (carlancap-12): camera" in entries
 
 
 def test_existing_units_are_grey_on_the_plan(setting):
-    mine = Layout(name="mine", units=load_carlancap_layout().units[:2])
-    axes = plot_plan(setting, mine, existing=["RSU1"])
+    """And the legend says why."""
+    axes = plot_plan(setting, study_layout(2), existing=["RSU1"])
     marks = lines_of(axes)
+    existing = marks["unit:RSU1"]
+    new = marks["unit:RSU0"]
 
-    assert marks["unit:RSU1"].get_markerfacecolor() == GREY
-    assert marks["unit:RSU0"].get_markerfacecolor() != GREY
+    assert existing.get_markerfacecolor() == GREY
+    assert new.get_markerfacecolor() != GREY
 
     words = texts_of(axes.get_legend())
     assert "existing: mounted already" in words
@@ -150,46 +174,60 @@ def test_plan_is_in_metres_north_up_around_the_junction(setting):
         (axes.get_ylim(), 1),
     ):
         outline = setting.scene.outline_m[:, column]
-        assert limits[1] - limits[0] == pytest.approx(90.0)
-        assert limits[0] < outline.min() < outline.max() < limits[1]
+        low, high = limits
+        assert high - low == pytest.approx(90.0)
+        assert low < outline.min() < outline.max() < high
+
     assert "N" in texts_of(axes)
 
 
 @pytest.mark.long
 def test_plan_draws_a_scene_with_nothing_in_it(setting):
     bare = replace(setting.scene, lanes=(), sites=())
-    axes = plot_plan(replace(setting, scene=bare), load_carlancap_layout())
-    assert to_png(axes).startswith(b"\x89PNG")
+    nothing = replace(setting, scene=bare)
+    axes = plot_plan(nothing, load_carlancap_layout())
+    picture = to_png(axes)
+
+    assert picture.startswith(b"\x89PNG")
 
 
 def test_the_tip_of_a_camera_points_where_it_looks(setting):
-    units = load_carlancap_layout().units[:4]
-    axes = plot_plan(setting, Layout(name="mine", units=units))
+    """The first corner of the mark is its tip."""
+    layout = study_layout(4)
+    axes = plot_plan(setting, layout)
     lines = lines_of(axes)
-    for unit in units:
-        tip = lines[f"unit:{unit.id}"].get_marker().vertices[0]
-        yaw_deg = np.degrees(np.arctan2(tip[1], tip[0]))
+
+    for unit in layout.units:
+        outline = lines[f"unit:{unit.id}"].get_marker()
+        east, north = outline.vertices[0]
+        yaw_deg = np.degrees(np.arctan2(north, east))
         np.testing.assert_allclose(yaw_deg, unit.pose.yaw_deg)
 
 
 def test_two_units_on_a_pole_are_two_arrows_from_it(setting):
+    """Those that look the same way stand in a row; a third looks the other way."""
     first = load_carlancap_layout().units[0]
-    units = [
-        replace(first, id=f"U{i}", pose=replace(first.pose, yaw_deg=yaw))
-        for i, yaw in enumerate((0.0, 5.0, 180.0))
-    ]
+    units = []
+    for i, yaw_deg in enumerate((0.0, 5.0, 180.0)):
+        pose = replace(first.pose, yaw_deg=yaw_deg)
+        units.append(replace(first, id=f"U{i}", pose=pose))
+
     axes = plot_plan(setting, Layout(name="mine", units=tuple(units)))
     lines = lines_of(axes)
     ends = []  # of the darts, east of the pole in points
     for i in range(3):
         dart = lines[f"unit:U{i}"]
         outline = dart.get_marker().vertices
-        ends.append(0.5 * dart.get_markersize() * outline[:, 0] / np.abs(outline).max())
+        scale = 0.5 * dart.get_markersize() / np.abs(outline).max()
+        ends.append(scale * outline[:, 0])
 
-    assert ends[0].min() >= 0.0  # east of the pole, the last one west of it
-    assert ends[2].max() <= 1e-9
+    first_end, second_end, third_end = ends
+
+    # East of the pole, and the last one west of it.
+    assert first_end.min() >= 0.0
+    assert third_end.max() <= 1e-9
     # Before the first one, which looks there, too.
-    assert ends[1].max() > 1.5 * ends[0].max()
+    assert second_end.max() > 1.5 * first_end.max()
     assert {"U0, U1", "U2"} <= set(texts_of(axes))
 
 
@@ -203,8 +241,10 @@ def test_assumed_sites_and_arms_are_named(setting):
     )
     scene = replace(setting.scene, notes=(note,))
     layout = Layout(name="mine", units=(replace(unit, id="U1"),))
-    axes = plot_plan(replace(setting, scene=scene), layout)
+    noted = replace(setting, scene=scene)
+    axes = plot_plan(noted, layout)
     texts = set(texts_of(axes))
+    legend = texts_of(axes.get_legend())
 
     assert {"U1 (assumed)", "north arm", "west arm"} <= texts
-    assert "assumed site: not mapped there" in texts_of(axes.get_legend())
+    assert "assumed site: not mapped there" in legend

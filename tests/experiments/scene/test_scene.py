@@ -75,7 +75,12 @@ def scene_answer(ask, command):
 def city(tmp_path):
     """Two streets with lamps, a house, and a second junction."""
     osm = OsmText()
-    crossing_streets(osm, bearings=FOUR, highway="residential", lanes="2")
+    crossing_streets(
+        osm,
+        bearings=FOUR,
+        highway="residential",
+        lanes="2",
+    )
     osm.node(9.0, 9.0, highway="street_lamp")
     osm.node(-9.0, -9.0, highway="street_lamp")
     corners = [
@@ -100,6 +105,7 @@ def roads(tmp_path):
 def test_a_map_becomes_a_scene_that_says_what_was_understood(
     scene_command, scene_answer, city, tmp_path
 ):
+    """As a folder, or as an archive; showing either tells the same."""
     out = tmp_path / "scene"
     summary = scene_answer("import", city, "-o", out)
     (junction,) = summary["junctions"]
@@ -117,18 +123,20 @@ def test_a_map_becomes_a_scene_that_says_what_was_understood(
     ]
 
     scene = load_scene_folder(out)
-    house = scene.vertices_m[scene.triangles[scene.triangle_instance == 1]]
+    triangles = scene.triangles[scene.triangle_instance == 1]
+    house = scene.vertices_m[triangles]
 
     assert scene.instances[1].class_name == "building"
     assert house[..., 2].max() == pytest.approx(12.0, abs=1e-3)
     assert house[..., :2].min(axis=(0, 1)) == pytest.approx([14.0, 14.0], abs=1.0)
 
     again = scene_answer("show", out)
-    assert again["junctions"][0]["arms"] == 4
+    (shown,) = again["junctions"]
+
+    assert shown["arms"] == 4
+    assert shown["x_m"] == pytest.approx(junction["x_m"])
+    assert shown["y_m"] == pytest.approx(junction["y_m"])
     assert again["skipped"] == summary["skipped"]
-    assert [again["junctions"][0][key] for key in ("x_m", "y_m")] == pytest.approx(
-        [junction[key] for key in ("x_m", "y_m")]
-    )
 
     archive = tmp_path / "scene.zip"
     assert scene_command("import", city, "-o", archive).code == 0
@@ -139,9 +147,11 @@ def test_a_map_becomes_a_scene_that_says_what_was_understood(
 def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
     scene_command, scene_answer, tmp_path
 ):
+    """By default the one with most arms; a word must fit only one of them."""
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     far = osm.node(300.0, 0.0)
+
     for start, (east, north), name in (
         (middle, (-100.0, 0.0), "West Road"),
         (middle, (0.0, 100.0), "Church Lane"),
@@ -150,6 +160,7 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
         (far, (300.0, -100.0), "Mill Lane"),
     ):
         osm.road([start, (east, north)], name=name, highway="residential")
+
     osm.road([middle, far], name="High Street", highway="residential")
     path = osm.write(tmp_path)
     listed = scene_answer("show", path)
@@ -162,6 +173,7 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
 
     small = listed["junctions"][1]
     at = f"{small['x_m']:.6f},{small['y_m']:.6f}"
+
     for choice in (
         ["--at", at],
         ["--junction", small["id"]],
@@ -170,6 +182,7 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
         out = tmp_path / "out"
         summary = scene_answer("import", path, *choice, "-o", out)
         assert summary["junctions"][0]["id"] == small["id"]
+
     summary = scene_answer("import", path, "-o", tmp_path / "out")
 
     assert summary["junctions"][0]["id"] == listed["junctions"][0]["id"]
@@ -190,6 +203,8 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
 
 @pytest.mark.long
 def test_sites_are_poles_kerbs_or_a_list(scene_command, scene_answer, city, tmp_path):
+    """A list has degrees, and says what each pole may carry and costs."""
+
     def sites(*options):
         return scene_answer("import", city, *options, "-o", tmp_path / "s")["site_list"]
 
@@ -227,13 +242,21 @@ def test_sites_are_poles_kerbs_or_a_list(scene_command, scene_answer, city, tmp_
         ("somewhere", "--sites: got 'somewhere'; expected auto, map, kerb:SPACING"),
         ("gone.csv", "gone.csv: got No such file"),
     ):
-        result = scene_command("import", city, "--sites", wrong, "-o", tmp_path / "x")
+        result = scene_command(
+            "import",
+            city,
+            "--sites",
+            wrong,
+            "-o",
+            tmp_path / "x",
+        )
         assert result.code == 2
         assert message in result.err
 
 
 @pytest.mark.long
 def test_buildings_come_from_another_file(scene_command, scene_answer, roads, tmp_path):
+    """A mesh does not say its unit, nor which way is up."""
     import trimesh
 
     box = trimesh.creation.box([10.0, 10.0, 8.0])
@@ -265,7 +288,8 @@ def test_buildings_come_from_another_file(scene_command, scene_answer, roads, tm
 
     scene = load_scene_folder(out)
     index = [thing.class_name for thing in scene.instances].index("building")
-    corners = scene.vertices_m[scene.triangles[scene.triangle_instance == index]]
+    triangles = scene.triangles[scene.triangle_instance == index]
+    corners = scene.vertices_m[triangles]
 
     assert corners.min(axis=(0, 1)) == pytest.approx([20.0, 20.0, 0.0], abs=1e-4)
 
@@ -276,6 +300,7 @@ def test_buildings_come_from_another_file(scene_command, scene_answer, roads, tm
 
 @pytest.mark.long
 def test_what_is_wrong_with_a_scene_is_found(scene_command, tmp_path):
+    """A pole is moved into a building by hand."""
     out = tmp_path / "scene"
     assert scene_command("import town05 -o", out).code == 0
     assert "nothing found" in scene_command("check", out).out
@@ -285,15 +310,14 @@ def test_what_is_wrong_with_a_scene_is_found(scene_command, tmp_path):
     inside = load_study_scene()
     house = next(thing for thing in inside.instances if thing.class_name == "building")
     index = inside.instances.index(house)
-    corners = inside.vertices_m[
-        np.unique(inside.triangles[inside.triangle_instance == index])
-    ]
+    triangles = inside.triangles[inside.triangle_instance == index]
+    corners = inside.vertices_m[np.unique(triangles)]
     x, y = corners[:, :2].mean(axis=0)
-    first = text.index("position_m = [", text.index("[[sites]]"))
+    sites = text.index("[[sites]]")
+    first = text.index("position_m = [", sites)
     end = text.index("]", first)
-    (out / "scene.toml").write_text(
-        text[:first] + f"position_m = [{x:.2f}, {y:.2f}, 0.0" + text[end:]
-    )
+    moved = f"position_m = [{x:.2f}, {y:.2f}, 0.0"
+    (out / "scene.toml").write_text(text[:first] + moved + text[end:])
     result = scene_command("check", out, "--json")
 
     assert result.code == 1
@@ -307,6 +331,7 @@ def test_what_is_wrong_with_a_scene_is_found(scene_command, tmp_path):
 
 
 def test_bad_maps_are_one_line(scene_command, roads, city, tmp_path):
+    """And nothing is written."""
     (tmp_path / "a.txt").write_text("hello")
     for files, message in (
         (["a.txt"], "got another kind of file; expected .xodr"),
@@ -323,9 +348,11 @@ def test_bad_maps_are_one_line(scene_command, roads, city, tmp_path):
 
 
 def test_other_peoples_folders_stay(scene_command, city, tmp_path):
+    """Only scenes are overwritten."""
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/letter.txt").write_text("dear")
     (tmp_path / "file").write_text("x")
+
     for out, message in (
         ("mine", "which holds other things; expected a new folder, or a scene's"),
         ("file", "a file; expected a folder, or a .zip file"),
@@ -342,6 +369,7 @@ def test_other_peoples_folders_stay(scene_command, city, tmp_path):
 def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     command, city, tmp_path, monkeypatch
 ):
+    """The study's layout is nowhere mentioned: it belongs to another junction."""
     out = tmp_path / "scene"
     for keeps in ("right", "left"):
         asked = ("scene import", city, "--driving-side", keeps, "-o", out, "--quiet")
@@ -349,6 +377,7 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
 
         assert imported.code == 0
         assert f"traffic keeps {keeps}" in " ".join(imported.out.split())
+
     grid = replace(
         load_candidate_grid(),
         heights_m=np.array([6.0]),
@@ -360,7 +389,12 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     question = ["--cases CPNA-25,CBNA,CPTAfs-50 --speeds 20,40 --approaches north"]
     question += ["--along-arms", "0"]
     result = command(
-        "--scene", out, "--budget 1", *question, "--json --quiet --out", results
+        "--scene",
+        out,
+        "--budget 1",
+        *question,
+        "--json --quiet --out",
+        results,
     )
 
     assert result.code == 0, result.err
@@ -373,13 +407,13 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     assert "carlancap" not in page
     assert read_json(results / "layout.json")["scene"].startswith("city/")
 
-    rows = list(csv.DictReader(io.StringIO((results / "layout.csv").read_text())))
+    table = (results / "layout.csv").read_text()
+    (row,) = csv.DictReader(io.StringIO(table))
     (unit,) = read_json(results / "layout.geojson")["features"]
+    longitude_deg = unit["geometry"]["coordinates"][0]
 
-    assert float(rows[0]["map_x"]) == pytest.approx(
-        unit["geometry"]["coordinates"][0], abs=1e-9
-    )
-    assert rows[0]["map_crs"] == "EPSG:4326"
+    assert float(row["map_x"]) == pytest.approx(longitude_deg, abs=1e-9)
+    assert row["map_crs"] == "EPSG:4326"
 
     layout = str(results / "layout.json")
     elsewhere = command("evaluate --layout", layout, *question, "--quiet")
@@ -387,11 +421,18 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     assert elsewhere.code == 2
     assert "expected one of town05, the scene in use" in elsewhere.err
 
-    here = command("export --layout", layout, "--scene", out, "--format csv")
-    assert here.out == (results / "layout.csv").read_text()
+    here = command(
+        "export --layout",
+        layout,
+        "--scene",
+        out,
+        "--format csv",
+    )
+    assert here.out == table
 
 
 def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
+    """Other formats need no place on Earth."""
     out = tmp_path / "scene"
     assert command("scene import", roads, "-o", out, "--quiet").code == 0
 
@@ -457,9 +498,9 @@ def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(
     assert one in " ".join(summary["driven"])
 
     result = command(*given, few, one)
-    assert (result.code, "which no approach carries" in result.err) == (2, True), (
-        result.err
-    )
+
+    assert result.code == 2, result.err
+    assert "which no approach carries" in result.err
 
     both = f"{summary['cases'][0]},{one}"
     told = json.loads(command(*given, few, both).out)
@@ -471,8 +512,10 @@ def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(
 @pytest.mark.long
 def test_the_plan_shows_something():
     scene = load_study_scene()
-    png = to_png(plot_scene_plan(scene))
-    picture = np.asarray(Image.open(io.BytesIO(png)).convert("L"))
+    figure = plot_scene_plan(scene)
+    png = to_png(figure)
+    image = Image.open(io.BytesIO(png))
+    picture = np.asarray(image.convert("L"))
 
     assert picture.std() > 20.0
 
@@ -503,34 +546,51 @@ def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkey
         lanes="2",
     )
     city = str(osm.write(tmp_path))
+
     for _ in range(2):
         result = command(
-            "--scene", city, "--junction", "Street 2 / Street 0", "--budget 2"
+            "--scene",
+            city,
+            "--junction",
+            "Street 2 / Street 0",
+            "--budget 2",
         )
         assert result.code == 2
         assert "Imported Street 0 / Street 1 / Street 2: 3 arms, 24 sites" in result.err
 
-    assert len(list((tmp_path / "cache/scenes").iterdir())) == 1
-    assert {one.scene for one in asked} == {
-        str(next((tmp_path / "cache/scenes").iterdir()))
-    }
-    assert len(build_junction(load_scene_folder(Path(asked[0].scene))).arms) == 3
+    (imported,) = (tmp_path / "cache/scenes").iterdir()
+    junction = build_junction(load_scene_folder(imported))
+
+    assert {one.scene for one in asked} == {str(imported)}
+    assert len(junction.arms) == 3
 
     options = ["--sites kerb:30 --driving-side left --at", f"{LON_DEG},{LAT_DEG}"]
     assert command("--scene", city, *options, "--budget 2 --quiet").code == 2
 
     other = load_scene_folder(Path(asked[-1].scene))
+    assumed = set(assumed_sites(other.notes))
+
     assert other.keeps_left
     assert len(other.sites) < 24
-    assert set(assumed_sites(other.notes)) == {site.id for site in other.sites}
+    assert assumed == {site.id for site in other.sites}
 
-    for wrong in ([], ["--scene", str(tmp_path)], ["--scene", asked[0].scene]):
-        result = command(*wrong, "--junction", "Street 0", "--budget 2 --quiet")
+    for wrong in (
+        [],
+        ["--scene", str(tmp_path)],
+        ["--scene", asked[0].scene],
+    ):
+        result = command(
+            *wrong,
+            "--junction",
+            "Street 0",
+            "--budget 2 --quiet",
+        )
         assert result.code == 2
         assert "expected --scene FILE, a map with roads" in result.err
 
 
 def test_lists_that_are_long_are_cut(monkeypatch):
+    """After 20 entries, and lines after 100 characters."""
     summary = {
         "name": "x" * 100,
         "junctions": [
@@ -562,7 +622,12 @@ def test_lists_that_are_long_are_cut(monkeypatch):
 def chooser(scene_command, tmp_path):
     """The page on which a junction of a street with three is chosen."""
     path = write_city(tmp_path)
-    result = scene_command("show", path, "--staggered 40 --out", tmp_path / "out")
+    result = scene_command(
+        "show",
+        path,
+        "--staggered 40 --out",
+        tmp_path / "out",
+    )
     assert result.code == 0
     return tmp_path / "out/junctions.html"
 
@@ -570,17 +635,24 @@ def chooser(scene_command, tmp_path):
 def test_the_junctions_of_a_map_stand_on_a_page_with_streets_and_names(chooser):
     page = chooser.read_text()
     assert re.findall(r'data-id="(.*?)"', page) == ["n3", "n1", "n2"]
+
     for street in ("Main Street", "A Lane", "B Lane", "C Lane"):
         assert re.search(rf"<text [^>]*>{street}</text>", page)
 
     circles = re.findall(r'<circle cx="(.*?)" cy="(.*?)"', page)
-    places = dict(zip(("n3", "n1", "n2"), np.array(circles, dtype=float), strict=True))
+    third, first, second = np.array(circles, dtype=float)
 
     # Junctions are drawn 250 m and 500 m east of the first, the last 10 m north: up on
     # the page.
-    assert_allclose(places["n2"] - places["n1"], [250.0, 0.0], atol=6.0)
-    assert_allclose(places["n3"] - places["n1"], [500.0, -10.0], atol=6.0)
+    assert_allclose(second - first, [250.0, 0.0], atol=6.0)
+    assert_allclose(third - first, [500.0, -10.0], atol=6.0)
     assert "--staggered 40 --junction" in page
+
+
+def view_box(page):
+    """What of the map a page shows: left, top, width, height."""
+    words = page.get_attribute(".street-map", "viewBox").split()
+    return [float(word) for word in words]
 
 
 # Quickly: what the map's page is made of, above
@@ -599,19 +671,16 @@ def test_a_junction_is_chosen_on_the_map_or_in_the_list(browser, chooser):
         page.locator("li button:visible").press("Enter")
         assert "--junction n2 " in page.inner_text("#command")
 
-        box = [
-            float(part) for part in page.get_attribute(".street-map", "viewBox").split()
-        ]
-        x, y = (
-            float(page.locator(".street-map circle").nth(2).get_attribute(name))
-            for name in ("cx", "cy")
-        )
-        assert [box[0] + 0.5 * box[2], box[1] + 0.5 * box[3]] == pytest.approx([x, y])
+        box = view_box(page)
+        circle = page.locator(".street-map circle").nth(2)
+        x = float(circle.get_attribute("cx"))
+        y = float(circle.get_attribute("cy"))
+
+        assert box[0] + 0.5 * box[2] == pytest.approx(x)
+        assert box[1] + 0.5 * box[3] == pytest.approx(y)
 
         page.click(".map-nearer")
-        nearer = [
-            float(part) for part in page.get_attribute(".street-map", "viewBox").split()
-        ]
+        nearer = view_box(page)
 
         assert nearer[2] == pytest.approx(0.6 * box[2])
         assert nearer[0] + 0.5 * nearer[2] == pytest.approx(x)
@@ -628,9 +697,7 @@ def test_a_junction_is_chosen_on_the_map_or_in_the_list(browser, chooser):
         page.mouse.down()
         page.mouse.move(at[0] + 60.0, at[1])
         page.mouse.up()
-        moved = [
-            float(part) for part in page.get_attribute(".street-map", "viewBox").split()
-        ]
+        moved = view_box(page)
 
         assert moved[0] < 0.0
         assert moved[1] == pytest.approx(0.0, abs=1e-6)

@@ -51,41 +51,47 @@ def pets(folder, rng):
     for person in range(N_PEOPLE):
         far = 12.0 + 2.0 * person
         way = (-1.0) ** person
-        foot = np.column_stack(
-            [way * (-2.0 + 0.1 * frames), np.full(N_FRAMES, far), 0 * frames]
-        )
-        heading = np.full(N_FRAMES, 0.0 if way > 0 else 180.0)
+        aside = way * (-2.0 + 0.1 * frames)
+        foot = np.zeros((N_FRAMES, 3))
+        foot[:, 0] = aside
+        foot[:, 1] = far
+        if way > 0:
+            heading = np.zeros(N_FRAMES)
+        else:
+            heading = np.full(N_FRAMES, 180.0)
         walked = (0.1 * frames / 1.4 * 8).round().astype(int)
         boxes = body_boxes(
-            foot, heading, walked, lambda p: project_distorted(p, camera)
+            foot,
+            heading,
+            walked,
+            lambda p: project_distorted(p, camera),
         )
         height = box_height_px(boxes)
         draws = linked_noise(frames, table.frame_correlation, rng)
-        chance = 0.924 / (
-            1.0 + (table.height_half_px / height) ** table.height_steepness
-        )
-        for frame, (box, is_found) in enumerate(
-            zip(boxes, ndtr(draws) < chance, strict=True)
-        ):
-            x = box[0] + box[2]
-            y = box[1] + box[3]
-            w = box[2] - box[0]
-            h = box[3] - box[1]
+        smallness = table.height_half_px / height
+        chance = 0.924 / (1.0 + smallness**table.height_steepness)
+        is_found = ndtr(draws) < chance
+
+        for frame, box in enumerate(boxes):
+            x_min, y_min, x_max, y_max = box
+            x = 0.5 * (x_min + x_max)
+            y = 0.5 * (y_min + y_max)
+            w = x_max - x_min
+            h = y_max - y_min
             frame_texts[frame].append(
-                f'<object id="{person}"><box h="{h}" w="{w}" xc="{x / 2}"'
-                f' yc="{y / 2}"/></object>'
+                f'<object id="{person}"><box h="{h}" w="{w}" xc="{x}"'
+                f' yc="{y}"/></object>'
             )
-            if is_found:
-                found.append(
-                    (
-                        frame + 1,
-                        f"{frame + 1},-1,{box[0]},{box[1]},{w},{h},0.9,-1,-1,-1",
-                    )
-                )
-    text = "".join(
-        f'<frame number="{n}"><objectlist>{"".join(one)}</objectlist></frame>'
-        for n, one in enumerate(frame_texts)
-    )
+            if is_found[frame]:
+                number = frame + 1
+                line = f"{number},-1,{x_min},{y_min},{w},{h},0.9,-1,-1,-1"
+                found.append((number, line))
+
+    text = ""
+    for n, objects in enumerate(frame_texts):
+        listed = "".join(objects)
+        text += f'<frame number="{n}"><objectlist>{listed}</objectlist></frame>'
+
     put(data / "annotations/PETS2009-S2L1.xml", f"<dataset>{text}</dataset>")
     lines = "\n".join(text for _, text in sorted(found))
     put(folder / "sort/data/train/PETS09-S2L1/det/det.txt", lines)
@@ -101,11 +107,17 @@ def kitti(folder, rng):
         points = {"Pedestrian": [], "Cyclist": []}
         pictures = []
         for frame in range(50):
-            for track, kind in enumerate(["Pedestrian"] * 4 + ["Cyclist"] * 4):
+            for track in range(8):
+                if track < 4:
+                    kind = "Pedestrian"
+                else:
+                    kind = "Cyclist"
                 far = 8.0 + 3.0 * track + 0.02 * frame
                 top = 173 - 180 / far
                 left = 150 * track + 20
-                box = f"{left} {top:.1f} {left + 300 / far:.1f} {top + 1300 / far:.1f}"
+                right = left + 300 / far
+                bottom = top + 1300 / far
+                box = f"{left} {top:.1f} {right:.1f} {bottom:.1f}"
                 level = track % 3
                 labels.append(
                     f"{frame} {track} {kind} 0 {level} 0 {box} 1.8 0.5 0.5"
@@ -147,12 +159,11 @@ def wildtrack(folder):
     ):
         turn = Rotation.from_euler("xz", [-95.0, 50.0 * view], degrees=True)
         shift = turn.apply([-200.0, -300.0, -250.0])
-        words = " ".join(map(str, turn.as_rotvec())), " ".join(map(str, shift))
+        rvec = " ".join(map(str, turn.as_rotvec()))
+        tvec = " ".join(map(str, shift))
         extrinsic = data / "calibrations/extrinsic" / f"extr_{name}.xml"
-        put(
-            extrinsic,
-            f"<opencv><rvec>{words[0]}</rvec><tvec>{words[1]}</tvec></opencv>",
-        )
+        text = f"<opencv><rvec>{rvec}</rvec><tvec>{tvec}</tvec></opencv>"
+        put(extrinsic, text)
         for kind, terms in (
             ("original", "-0.05 0.01 0 0 0"),
             ("zero", "0 0 0 0 0"),
@@ -166,13 +177,16 @@ def wildtrack(folder):
                 cameras.append(read_opencv_camera(path, extrinsic, (1920, 1080)))
     people = []
     for number in range(40):
-        cell = 480 * (40 + 30 * number) + 5 + 11 * number
+        # The ground is divided into rows of 480 cells, 25 mm wide.
+        row = 40 + 30 * number
+        column = 5 + 11 * number
+        cell = 480 * row + column
         x = -3.0 + 0.025 * (cell % 480)
         y = -9.0 + 0.025 * (cell // 480)
         views = []
         for view, camera in enumerate(cameras):
-            (at,) = project_distorted([[x, y, 0.9]], camera)
-            inside = 0 <= at[0] < 1920 and 0 <= at[1] < 1080
+            ((column, row, _),) = project_distorted([[x, y, 0.9]], camera)
+            inside = 0 <= column < 1920 and 0 <= row < 1080
             names = ("xmin", "ymin", "xmax", "ymax")
             if inside:
                 sides = (1, 2, 30, 40)
@@ -215,8 +229,11 @@ def measured(folder):
 # Quickly: the other tests of this file.
 @pytest.mark.long
 def test_bodies_that_this_camera_drew_have_the_height_that_it_predicts(measured):
+    """The recording was drawn with the camera and bodies that predict it."""
     heights = measured.heights
-    assert np.quantile(heights.ratio, [0.05, 0.5, 0.95]) == pytest.approx(1.0, abs=0.02)
+    spread = np.quantile(heights.ratio, [0.05, 0.5, 0.95])
+
+    assert spread == pytest.approx(1.0, abs=0.02)
     assert abs(heights.tilt_deg.value) <= 0.1
 
 
@@ -238,16 +255,18 @@ def test_a_camera_without_distortion_and_roll_is_its_nearest_pinhole(folder):
         ]
     )
     ours = project_points(points, pose, pinhole)
+    theirs = project_distorted(points, square)
 
-    assert ours == pytest.approx(project_distorted(points, square), abs=1e-6)
+    assert ours == pytest.approx(theirs, abs=1e-6)
 
 
 def test_a_camera_tilted_down_shows_the_same_point_higher_up(folder):
     _, camera = pets_tracks(folder)
-    point = [[0.0, 15.0, 0.0]]
-    assert project_distorted(point, tilted(camera, 1.0))[0, 1] < (
-        project_distorted(point, camera)[0, 1] - 10.0
-    )
+    points = [[0.0, 15.0, 0.0]]
+    ((_, row, _),) = project_distorted(points, camera)
+    ((_, tilted_row, _),) = project_distorted(points, tilted(camera, 1.0))
+
+    assert tilted_row < row - 10.0
 
 
 # Quickly: the other tests of this file.
@@ -255,17 +274,14 @@ def test_a_camera_tilted_down_shows_the_same_point_higher_up(folder):
 def test_flags_by_the_middles_of_bodies_agree_with_the_lens_that_made_them(
     folder, measured
 ):
+    """Without the lens, by a pinhole, some do not."""
     flags = measured.flags
+    marks = folder / "OpenTraj/datasets/Wild-Track/annotations_positions"
+    by_camera = read_wildtrack(marks)
+
     assert [flag.agreed for flag in flags] == [1.0] * 7
     assert min(flag.agreed_pinhole for flag in flags) < 1.0
-    assert (
-        len(
-            read_wildtrack(
-                folder / "OpenTraj/datasets/Wild-Track/annotations_positions"
-            )
-        )
-        == 7
-    )
+    assert len(by_camera) == 7
 
 
 # Quickly: the other tests of this file.
@@ -273,31 +289,48 @@ def test_flags_by_the_middles_of_bodies_agree_with_the_lens_that_made_them(
 def test_what_was_drawn_is_counted(folder, measured):
     det = folder / "sort/data/train/PETS09-S2L1/det/det.txt"
     n_found = len(det.read_text().splitlines())
+    n_shown = N_PEOPLE * N_FRAMES
     watched = measured.pole
+    sightings = watched.sightings
 
-    assert int(watched.sightings.is_found.sum()) == n_found
-    assert len(watched.sightings) == N_PEOPLE * N_FRAMES
+    assert int(sightings.is_found.sum()) == n_found
+    assert len(sightings) == n_shown
 
-    everybody = response.recall_of(watched.sightings, "all")
-    assert everybody.measured.value == pytest.approx(n_found / (N_PEOPLE * N_FRAMES))
+    everybody = response.recall_of(sightings, "all")
+    share = n_found / n_shown
 
-    groups = response.recalls(watched, watched.distance_m, (0.0, 21.0, np.inf), "m")
+    assert everybody.measured.value == pytest.approx(share)
+
+    groups = response.recalls(
+        watched,
+        watched.distance_m,
+        (0.0, 21.0, np.inf),
+        "m",
+    )
     assert [group.tracks for group in groups] == [5, 5]
 
     car = measured.car
-    assert sorted(set(car.hidden_level.tolist())) == [0, 1, 2]
+    levels = set(car.hidden_level.tolist())
+
+    assert levels == {0, 1, 2}
     assert car.halves["sequence"].sum() == 200
 
 
 def test_phi_is_that_of_two_states_and_their_chances():
+    """Phi is the sum of both chances to stay, less 1: 0.9 + 0.6 - 1."""
     rng = np.random.default_rng(1)
     n = 4000
     states = np.empty(n, dtype=bool)
     states[0] = True
-    for index in range(
-        1, n
-    ):  # stays found with 0.9, stays missed with 0.6: phi 0.9 + 0.6 - 1
-        states[index] = rng.random() < (0.9 if states[index - 1] else 0.4)
+    for index in range(1, n):
+        if states[index - 1]:
+            chance = 0.9  # stays found
+        else:
+            chance = 1.0 - 0.6  # stays missed
+        states[index] = rng.random() < chance
+
+    # An error of zero where something is found, and none where nothing is.
+    error = np.where(states, 0.0, np.nan)
     some = response.Sightings(
         height_px=np.full(n, 80.0),
         seen_share=np.ones(n),
@@ -305,7 +338,7 @@ def test_phi_is_that_of_two_states_and_their_chances():
         aspect_deg=np.full(n, 90.0),
         vru_class=np.zeros(n, dtype=np.int64),
         is_found=states,
-        box_error=np.where(states[:, None], 0.0, np.nan) * np.ones(4),
+        box_error=np.column_stack([error] * 4),
         track=np.repeat(np.arange(40), 100),
         frame=np.tile(np.arange(100), 40),
     )
@@ -317,6 +350,7 @@ def test_phi_is_that_of_two_states_and_their_chances():
 
 @pytest.mark.long
 def test_where_detections_are_exact_no_error_is_measured(measured):
+    """The prediction is about detectors that err."""
     for band in measured.places:
         assert band.along_m == pytest.approx(0.0, abs=1e-6)
         assert 0.1 < band.predicted_along_m < 2.0
@@ -342,8 +376,12 @@ def test_a_car_brakes_for_nothing_only_where_it_drives(
             foot = 172.8 + 721.5 * 1.65 / ahead_m
             middle = 609.5 + 721.5 * right_m / ahead_m
             height = 721.5 * 1.7 / ahead_m
-            sides = (middle - 0.2 * height, foot - height, middle + 0.2 * height, foot)
-            found.append(f"{frame}," + ",".join(f"{one:.3f}" for one in sides) + ",0.4")
+            left = middle - 0.2 * height
+            right = middle + 0.2 * height
+            top = foot - height
+            box = f"{left:.3f},{top:.3f},{right:.3f},{foot:.3f}"
+            found.append(f"{frame},{box},0.4")
+
     label = "0 0 Pedestrian 0 0 0 1 1 20 60 1.8 0.5 0.5 -20 1.6 30 0"
     put(data / "label/0000.txt", label)
     put(data / "calib/0000.txt", "P2: 721.5 0 609.5 0 0 721.5 172.8 0 0 0 1 0\n")
@@ -372,6 +410,7 @@ def test_the_command_writes_page_figures_and_tables(
             str(tmp_path / "tables"),
         ],
     )
+
     assert result.exit_code == 0, result.output
 
     names = {path.name for path in (tmp_path / "out").iterdir()}
@@ -388,13 +427,16 @@ def test_the_command_writes_page_figures_and_tables(
     for name in ("pole-2015.toml", "car-2019.toml"):
         table = load_detector(str(tmp_path / "tables" / name))
         assert table.assumed == ("child", "cyclist", "motorcyclist", "car")
+
     lidars = load_toml(tmp_path / "tables/pointrcnn-2019.toml")
-    assert all(lidars[name]["distance_m"] for name in ("pedestrian", "cyclist"))
+    assert lidars["pedestrian"]["distance_m"]
+    assert lidars["cyclist"]["distance_m"]
 
 
 def test_a_missing_recording_is_told_in_one_line(tmp_path):
-    result = CliRunner().invoke(
-        command.main, [str(tmp_path), "--out", str(tmp_path / "out")]
-    )
+    out = tmp_path / "out"
+    arguments = [str(tmp_path), "--out", str(out)]
+    result = CliRunner().invoke(command.main, arguments)
+
     assert result.exit_code == 2
     assert "PETS2009-S2L1.xml: got No such file or directory" in result.output
