@@ -522,7 +522,7 @@ def cast_sight(
         world, eye, world.standing, body, near_views[row], row, blocked, near_m=near_m
     )
     # Rows of which something is left, and what vehicles occlude of them in each frame.
-    n_blocked = blocked.sum(axis=1)
+    n_blocked = _count_points(blocked)
     row_of_view = np.full(len(views.yaw_deg), -1)
     is_left = n_blocked < blocked.shape[1]
     row_of_view[near_views[is_left]] = np.flatnonzero(is_left)
@@ -543,8 +543,8 @@ def cast_sight(
 
     # Entries: first a row each, as it is seen where no vehicle is in the way.
     is_visible = faces_eye & ~blocked
-    n_visible = is_visible.sum(axis=1)
-    n_facing = faces_eye.sum(axis=1)
+    n_visible = _count_points(is_visible)
+    n_facing = _count_points(faces_eye)
     is_seen = n_visible > 0
     # One entry more, for frames without a row.
     entry_of_row: IntArray = np.full(len(near_views) + 1, -1)
@@ -564,7 +564,7 @@ def cast_sight(
     shown_rows = np.concatenate([np.flatnonzero(is_seen), rows[is_more]])
     shown = np.concatenate([is_visible[is_seen], left_visible[is_more]])
     is_whole = n_visible[is_seen] == n_facing[is_seen]
-    n_shown = np.concatenate([n_visible[is_seen], left_visible[is_more].sum(axis=1)])
+    n_shown = np.concatenate([n_visible[is_seen], _count_points(left_visible[is_more])])
     return Sight(
         view_index=near_views[shown_rows],
         is_visible=shown,
@@ -572,6 +572,15 @@ def cast_sight(
         visible_share=n_shown / n_facing[shown_rows],
         entry_of_frame=entry_of_frame,
     )
+
+
+def _count_points(mask: BoolArray) -> IntArray:
+    """How many points of each row of a mask (n, n_points) are True, (n,).
+
+    As bytes, which numpy adds four times as fast as booleans.
+    """
+    counts: IntArray = mask.view(np.uint8).sum(axis=1, dtype=np.uint16).astype(np.int64)
+    return counts
 
 
 def _is_self_visible(
