@@ -313,7 +313,9 @@ def build_limits(
         rivals = pairs[~(existing_at[pairs] > 0).all(axis=1)]
     # Existing units have found room.
     capacity = np.maximum(capacity, existing_at)
-    is_paid = is_existing | np.isin([c.id for c in candidates], wishes.paid)
+    is_paid = is_existing | np.array(
+        [candidate.id in wishes.paid for candidate in candidates], dtype=bool
+    )
     cost[site_index[is_paid]] = 0.0
     # As many units as sites and candidates allow.
     usable = site_index[~is_forbidden_site[site_index] | is_existing]

@@ -157,11 +157,13 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
     if 0 < len(forced) <= limits.max_units:
         sizes.append(grown[are_allowed(limits, grown)])
     n_sets = sum(map(len, sizes))
+    if n_sets > max_sets:
+        return None
     most = max(constants.MANY_SETS, min(constants.MAX_GROWN_SETS, 100 * max_sets))
     for n_units in range(len(forced) + 1, limits.max_units + 1):
         if not len(grown):
             break
-        if n_sets > max_sets or len(grown) * len(poses) > most:
+        if len(grown) * len(poses) > most:
             return None
         # Some at a time: those that do not fit are many more than those that do.
         step = max(1, constants.GROWN_TOGETHER // max(1, len(poses)))
@@ -180,8 +182,6 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
             allowed.append(np.sort(sets[is_allowed_set], axis=1))
         grown = np.concatenate(larger)
         sizes.append(np.concatenate(allowed))
-    if n_sets > max_sets:
-        return None
     return sizes
 
 

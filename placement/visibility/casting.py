@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -31,6 +31,9 @@ from .views import (
     build_views,
     look,
 )
+
+if TYPE_CHECKING:
+    from .ray_kernels import OwnPoints
 
 # Rays that pass a body this near are cast.
 AROUND_BODY_M = 2.0e-3
@@ -646,7 +649,28 @@ def _find_self_hidden(
     inside of the closed body: the body hides it from any eye outside. All other points
     need rays.
     """
-    from .ray_kernels import EyesOnBody, OwnPoints, fill_own_rays
+    from .ray_kernels import EyesOnBody, fill_own_rays
+
+    own, reach_m = _own_points(surface)
+    distance_m = np.sqrt((eyes_m**2).sum(axis=1))
+    share = 1.0 - _OFF_SURFACE_M / np.maximum(distance_m, 1.0e-9)
+    # Next to the body, or in it, every point gets a ray.
+    longest_m = np.where(distance_m > 2.0 * reach_m, distance_m + reach_m, np.inf)
+    eyes = EyesOnBody(eyes_m, share.astype(np.float32), longest_m)
+    is_hidden = np.zeros((len(eyes_m), len(own.points)), dtype=bool)
+    starts = np.empty((is_hidden.size, 3), np.float32)
+    vectors = np.empty((is_hidden.size, 3), np.float32)
+    n_rays = fill_own_rays(own, eyes, starts, vectors, is_hidden)
+    is_asked = ~is_hidden
+    is_hidden[is_asked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
+    return is_hidden
+
+
+# Mounts look at the same few bodies.
+@lru_cache(maxsize=256)
+def _own_points(surface: Surface) -> tuple["OwnPoints", float]:
+    """Points of a body for rays, and how far they are from its origin, in metres."""
+    from .ray_kernels import OwnPoints
 
     points_m = surface.points_m
     own = OwnPoints(
@@ -655,19 +679,7 @@ def _find_self_hidden(
         face_m=(points_m * surface.outward).sum(axis=1),
         least_sine=surface.least_sine,
     )
-    distance_m = np.sqrt((eyes_m**2).sum(axis=1))
-    share = 1.0 - _OFF_SURFACE_M / np.maximum(distance_m, 1.0e-9)
-    # Next to the body, or in it, every point gets a ray.
-    reach_m = float(np.linalg.norm(points_m, axis=1).max())
-    longest_m = np.where(distance_m > 2.0 * reach_m, distance_m + reach_m, np.inf)
-    eyes = EyesOnBody(eyes_m, share.astype(np.float32), longest_m)
-    is_hidden = np.zeros((len(eyes_m), len(points_m)), dtype=bool)
-    starts = np.empty((is_hidden.size, 3), np.float32)
-    vectors = np.empty((is_hidden.size, 3), np.float32)
-    n_rays = fill_own_rays(own, eyes, starts, vectors, is_hidden)
-    is_asked = ~is_hidden
-    is_hidden[is_asked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
-    return is_hidden
+    return own, float(np.linalg.norm(points_m, axis=1).max())
 
 
 def _hidden_by_scene(

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from box_faces import BOX_FACES
 
 Files = Mapping[str, bytes]  # by name, in a folder
 Seeds = Mapping[str, tuple[str, Files]]  # by kind: what is read, and all files
@@ -212,19 +213,11 @@ def _zipped(files: Files) -> bytes:
 
 
 _CORNERS = [[x, y, z] for x in (0, 6) for y in (0, 8) for z in (0, 5)]
-_FACES = [
-    [0, 1, 3, 2],
-    [4, 6, 7, 5],
-    [0, 4, 5, 1],
-    [2, 3, 7, 6],
-    [0, 2, 6, 4],
-    [1, 5, 7, 3],
-]
 
 
 def _city_json() -> dict[str, Any]:
     """A house of two parts, and a tree."""
-    surfaces = [[face] for face in _FACES]
+    surfaces = [[face] for face in BOX_FACES]
     solid = {"type": "Solid", "lod": "2", "boundaries": [surfaces]}
     flat = {"type": "MultiSurface", "lod": "1.2", "boundaries": surfaces[:2]}
     return {
@@ -245,7 +238,7 @@ def _city_gml() -> str:
     """A house."""
     places = [f"{x + 390_000} {y + 5_819_000} {z}" for x, y, z in _CORNERS]
     rings = ""
-    for face in _FACES:
+    for face in BOX_FACES:
         corners = " ".join(places[i] for i in [*face, face[0]])
         rings += (
             "<gml:surfaceMember><gml:Polygon><gml:exterior><gml:LinearRing>"

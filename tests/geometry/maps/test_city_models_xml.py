@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from box_faces import BOX_FACES
 from numpy.testing import assert_allclose
 
 from geometry.errors import InputError
@@ -12,16 +13,7 @@ from geometry.maps.source_map import is_closed, volume_m3
 
 ORIGIN = np.array([390_000.0, 5_819_000.0, 30.0])
 BOX = np.array(list(product((0.0, 6.0), (0.0, 8.0), (0.0, 5.0))))
-FACES = np.array(
-    [
-        [0.0, 1.0, 3.0, 2.0],
-        [4.0, 6.0, 7.0, 5.0],
-        [0.0, 4.0, 5.0, 1.0],
-        [2.0, 3.0, 7.0, 6.0],
-        [0.0, 2.0, 6.0, 4.0],
-        [1.0, 5.0, 7.0, 3.0],
-    ]
-).astype(int)
+FACES = np.array(BOX_FACES)
 KINDS = ["Wall", "Wall", "Wall", "Wall", "Ground", "Roof"]
 VERSIONS = ["1.0", "2.0", "3.0"]
 

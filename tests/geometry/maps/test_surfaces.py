@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import shapely
+from box_faces import BOX_FACES
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
@@ -39,16 +40,7 @@ CUBE = np.array(
         [1.0, 1.0, 1.0],
     ]
 )
-FACES = np.array(
-    [
-        [0.0, 1.0, 3.0, 2.0],
-        [4.0, 6.0, 7.0, 5.0],
-        [0.0, 4.0, 5.0, 1.0],
-        [2.0, 3.0, 7.0, 6.0],
-        [0.0, 2.0, 6.0, 4.0],
-        [1.0, 5.0, 7.0, 3.0],
-    ]
-).astype(int)
+FACES = np.array(BOX_FACES)
 
 
 def normals(vertices, triangles):
