@@ -60,6 +60,8 @@ _SAME_M = 0.01
 _MIN_OVERLAP_M2 = 2.0
 # Narrower or shorter lanelets are no lanes.
 _MIN_SIZE_M = 0.1
+# Longer lanelets are no lanes: a coordinate is wrong.
+_MAX_LENGTH_M = 100_000.0
 # Latitudes and longitudes fit local coordinates within this, and this share of the
 # map's size: a projection's scale.
 _FITS_M = 1.0
@@ -161,7 +163,12 @@ def _lanelet(
 
 
 def _has_ground(one: Lanelet, name: str, omissions: Omissions) -> bool:
-    """True if a lanelet is long and wide enough to be a lane; others are noted."""
+    """True if a lanelet has the length and width of a lane; others are noted."""
+    longest_m = max(length_m(bound) for bound in (one.left_m, one.right_m))
+    if longest_m > _MAX_LENGTH_M:
+        why = f"no lane: a bound is {longest_m / 1000.0:.3g} km long"
+        omissions.add("lanelets without ground", name, why)
+        return False
     edges_m = one.edges_m
     width_m = np.hypot(*(edges_m[0] - edges_m[1])[:, :2].T).mean()
     long_m = length_m(edges_m.mean(axis=0)[:, :2])

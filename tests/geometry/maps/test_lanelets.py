@@ -136,6 +136,12 @@ EMPTY_LANELET = (
 )
 ZEBRA = {"zebra": ([(0.0, 1.0), (9.0, 1.0)], [(0.0, 0.0), (9.0, 0.0)])}
 OF_A_POINT = {"road": ([(0.0, 1.0)], [(0.0, 0.0), (9.0, 0.0)])}
+OF_A_FAR_POINT = {
+    "far": (
+        [(0.0, 0.0), (2.0e9, 0.0)],
+        [(0.0, -3.0), (30.0, -3.0)],
+    ),
+}
 OF_NO_NUMBERS = {"road": ([(0, "x"), (1, "nan")], [(0, 0), (9, 0)])}
 
 
@@ -147,6 +153,7 @@ OF_NO_NUMBERS = {"road": ([(0, "x"), (1, "nan")], [(0, 0), (9, 0)])}
         (lanelet2(OF_A_POINT), "a.osm", "no lanelet for cars"),
         ("<commonRoad/>", "a.xml", "no lanelet for cars"),
         (commonroad(OF_NO_NUMBERS), "a.xml", "no lanelet for cars"),
+        (commonroad(OF_A_FAR_POINT), "a.xml", "no lanelet for cars"),
     ],
 )
 def test_what_is_no_map_is_refused(tmp_path, text, name, told):
