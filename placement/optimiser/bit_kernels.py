@@ -23,13 +23,14 @@ _N_TOGETHER = 16
 
 
 @kernel
-def copy_row(rows: NDArray[Any], source: int, target: int) -> None:
-    """Copy a row of a table, (n_rows, n_columns), to another one.
+def copy_entries(source: NDArray[Any], target: NDArray[Any]) -> None:
+    """Copy an array, (n,), into another one of that length.
 
-    A loop: numba takes seconds to compile that a row is copied as a whole.
+    A loop: numba takes seconds to compile ``target[:] = source``, with the text of the
+    error for arrays of other lengths.
     """
-    for column in range(rows.shape[1]):
-        rows[target, column] = rows[source, column]
+    for place in range(len(target)):
+        target[place] = source[place]
 
 
 @kernel
@@ -431,7 +432,7 @@ def first_live_with_each(
         n_tails = tail_start[chain + 1] - tail_start[chain]
         for number in range(n_tails):
             frame = tail_frame[tail + number]
-            copy_row(held, number, number + 1)
+            copy_entries(held[number], held[number + 1])
             if not is_seen[frame]:
                 for word in range(n_words):
                     held[number + 1, word] &= columns[frame, word]
@@ -512,9 +513,7 @@ def avoid_with_each(
                 if has_part:
                     for word in range(n_words):
                         part[word] |= columns[frame, word]
-        # A loop, since numba compiles a slice's copy with the text of its error.
-        for word in range(len(live)):
-            live[word] = held[word]
+        copy_entries(held, live)
         for frame in window_frames[window[start[chain] + link]]:
             if not is_seen[frame]:
                 for word in range(n_words):

@@ -111,32 +111,30 @@ class Root:
 
     def gains(self, price: FloatArray | None = None) -> FloatArray:
         """Sum of the prices of what each pose covers, by default own, (n_poses,)."""
-        from .walk_kernels import weights_of
-
         if price is None:
             price = self.price
-        table, used, n_used = byte_table(price, self.covers)
-        gain = np.empty(len(self.covers))
-        weights_of(self.covers.view(np.uint8), table, used, n_used, gain)
+        covered_bytes = self.covers.view(np.uint8)
+        gain = np.zeros(len(self.covers))
+        for place, worth in enumerate(byte_table(price, self.covers)):
+            gain += worth[covered_bytes[:, place]]
         return gain
 
 
-def byte_table(weight: FloatArray, rows: WordArray) -> tuple[FloatArray, IntArray, int]:
-    """Worth of each value of each byte of bits along rows.
+def byte_table(weight: FloatArray, rows: WordArray) -> FloatArray:
+    """Worth of each value of each byte of bits along rows, (n_bytes, 256).
 
-    Returns `table`, `used` and their number, see
-    :func:`placement.optimiser.walk_kernels.weigh_bytes`.
+    :func:`placement.optimiser.walk_kernels.weigh_bytes` finds it for some of the rows.
     """
-    from .walk_kernels import weigh_bytes
-
-    n_words = rows.shape[1]
-    table = np.zeros((8 * n_words, 256))
-    used = np.empty(8 * n_words, dtype=np.int64)
-    padded = np.zeros(64 * n_words)
-    padded[: len(weight)] = weight
-    every = np.full(n_words, ~np.uint64(0))
-    n_used = weigh_bytes(padded, every, table, used)
-    return table, used, n_used
+    n_bytes = 8 * rows.shape[1]
+    of_bit = np.zeros((n_bytes, 8))
+    of_bit.flat[: len(weight)] = weight
+    table = np.zeros((n_bytes, 256))
+    # Values that have this bit as their highest are those before them, and the bit.
+    for bit in range(8):
+        n_before = 1 << bit
+        before = table[:, :n_before]
+        table[:, n_before : 2 * n_before] = before + of_bit[:, bit, None]
+    return table
 
 
 def find_root(

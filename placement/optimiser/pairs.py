@@ -302,7 +302,7 @@ class PairWalk:
         alone = transposed(alone, n_units, workers=1)
         may = transposed(may, n_units, workers=1)
         part = transposed(part, n_units, workers=1)
-        table, _, _ = byte_table(rows.weight, alone)
+        table = byte_table(rows.weight, alone)
         lost = np.empty(len(pairs))
         lost_by_pairs(alone, may, part, table, self.may_lose, pairs, lost)
         return pairs[lost <= self.may_lose]

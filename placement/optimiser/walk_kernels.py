@@ -15,7 +15,7 @@ from geometry.kernels import kernel
 from .allowed_sets import Choice
 from .bit_kernels import (
     ByteArray,
-    copy_row,
+    copy_entries,
     count_bits,
     has_bit,
     has_entry,
@@ -175,15 +175,6 @@ def weight_of(
         place = used[number]
         total += table[place, covers[place]]
     return total
-
-
-@kernel
-def weights_of(
-    covers: ByteArray, table: FloatArray, used: IntArray, n_used: int, total: FloatArray
-) -> None:
-    """Find the worth of the bits of each pose, (n_poses,), by a table of bytes."""
-    for pose in range(len(covers)):
-        total[pose] = weight_of(covers[pose], table, used, n_used)
 
 
 @kernel
@@ -362,22 +353,20 @@ def tighten_prices(
                 gain[pose] = 0.0
         of_poses, n_picked = pick_affordable(gain, choice, picked)
         total += of_poses
-        share *= memory
+        for pose in range(n_poses):
+            share[pose] *= memory
         for pose in picked[:n_picked]:
             share[pose] += 1.0 - memory
         if total < best * (1.0 - 1.0e-12):
             best = total
             idle = 0
-            # A loop, since numba compiles a slice's copy with the text of its error.
-            for row in range(n_rows):
-                best_price[row] = price[row]
+            copy_entries(price, best_price)
         else:
             idle += 1
         if step == n_steps:
             break
         if idle > patience:
-            for row in range(n_rows):
-                price[row] = best_price[row]
+            copy_entries(best_price, price)
             slope[:] = 0.0
             length = length * cut
             idle = 0
@@ -395,8 +384,7 @@ def tighten_prices(
             break
         for row in range(n_rows):
             price[row] -= length * total / steepness * slope[row]
-    for row in range(n_rows):
-        price[row] = best_price[row]
+    copy_entries(best_price, price)
     return best
 
 
@@ -798,12 +786,12 @@ def grow(
         # A node below, at which the pose is chosen.
         walk.position[depth] += 1
         after = depth + 1
-        copy_row(walk.is_open, depth, after)
+        copy_entries(walk.is_open[depth], walk.is_open[after])
         walk.is_open[depth, pose] = False
         if _count(walk.chosen, after, pose) >= covers.copies[pose]:
             walk.is_open[after, pose] = False
         here = covers.site[pose]
-        copy_row(walk.room, depth, after)
+        copy_entries(walk.room[depth], walk.room[after])
         walk.room[after, here] -= 1
         if walk.room[after, here] <= 0:
             for other in range(n_poses):
@@ -816,7 +804,7 @@ def grow(
                 before & of_pose
             )
             walk.covered[after, word] = before | of_pose
-        copy_row(walk.given_up, depth, after)
+        copy_entries(walk.given_up[depth], walk.given_up[after])
         walk.weight_given_up[after] = walk.weight_given_up[depth]
         at.depth = after
         at.is_new = 1
@@ -860,8 +848,7 @@ def can_keep(bits: WordArray, losses: Losses, with_failures: bool) -> bool:
     if with_failures:
         last = 0
     for failed in range(n_units, last - 1, -1):
-        for word in range(len(union)):
-            union[word] = base[word]
+        copy_entries(base, union)
         for unit in range(n_units):
             if unit != failed:
                 for word in range(len(union)):
@@ -936,9 +923,9 @@ def spell_out(
     for number in range(n_units):
         is_settled = number < unit
         if is_settled:
-            bits[number] = words[member[place[number]]]
+            copy_entries(words[member[place[number]]], bits[number])
         else:
-            bits[number] = class_words[classes[number]]
+            copy_entries(class_words[classes[number]], bits[number])
     if unit == 0 and place[0] < start[classes[0]]:
         place[0] = start[classes[0]]
         if not can_keep(bits, losses, with_failures):
@@ -947,14 +934,14 @@ def spell_out(
     # class sees.
     while unit >= 0:
         if place[unit] == start[classes[unit] + 1]:
-            bits[unit] = class_words[classes[unit]]
+            copy_entries(class_words[classes[unit]], bits[unit])
             unit -= 1
             if unit >= 0:
                 place[unit] += 1
             continue
         if n_found == len(out):
             break
-        bits[unit] = words[member[place[unit]]]
+        copy_entries(words[member[place[unit]]], bits[unit])
         if not can_keep(bits, losses, with_failures):
             place[unit] += 1
         elif unit + 1 == n_units:

@@ -318,7 +318,7 @@ def test_pairs_lose_the_rows_that_neither_can_avoid(seed, may_lose):
     alone, may, part = drawn < 0.6
     weight = whole_weights(rng, n_rows)
     pairs = rng.integers(0, 5, (6, 2))
-    table, _, _ = byte_table(weight, pack_words(alone))
+    table = byte_table(weight, pack_words(alone))
     found = np.empty(6)
 
     kernels.lost_by_pairs(
