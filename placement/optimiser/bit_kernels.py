@@ -1,4 +1,4 @@
-"""Numba kernels on bits: transposing, dominance, live windows of sets of poses.
+"""Numba kernels on bits: dominance, live windows of sets of poses.
 
 There is one layout of detections: a row of 64-bit words for each pose, bits
 along the merged frames, lowest bit first; and its transpose, a row for each
@@ -17,9 +17,6 @@ from geometry.kernels import kernel
 from .problem import Chains, WordArray
 
 ByteArray = NDArray[np.uint8]
-
-# Words transposed at a time: a line of memory or two.
-_N_TOGETHER = 16
 
 
 @kernel
@@ -48,88 +45,6 @@ def count_bits(word: np.uint64) -> int:
 def lowest_bit(word: np.uint64) -> int:
     """Place of the lowest bit of a word that is not 0: the number of zeros below it."""
     return count_bits(~word & (word - np.uint64(1)))
-
-
-@kernel
-def transpose_blocks(block: WordArray) -> None:
-    """Exchange rows and bits of each column, (64, n).
-
-    Blocks of 64 x 64 bits are transposed by exchanging their quarters, down to
-    single bits (Warren, Hacker's Delight, 7-3).
-    """
-    width = 32
-    mask = np.uint64(0x00000000FFFFFFFF)
-    n_words = np.uint64(block.shape[1])
-    while width:
-        shift = np.uint64(width)
-        for begin in range(0, 64, 2 * width):
-            for one in range(begin, begin + width):
-                for word in range(n_words):
-                    swapped = (
-                        (block[one, word] >> shift) ^ block[one + width, word]
-                    ) & mask
-                    block[one, word] ^= swapped << shift
-                    block[one + width, word] ^= swapped
-        width >>= 1
-        mask ^= mask << np.uint64(width)
-
-
-@kernel
-def transpose_chosen(
-    rows: ByteArray, chosen: IntArray, place: IntArray, columns: WordArray
-) -> None:
-    """Transpose some rows of a table, and of its columns some.
-
-    Parameters
-    ----------
-    rows : (n_rows, n_bytes) uint8
-        The table.
-    chosen : (n,) int
-        Rows that are transposed.
-    place : (8 n_bytes,) int
-        Row of `columns` that each bit becomes; negative: it is left out.
-    columns : (n_left, n_words) uint64
-        Written: bits along the chosen rows.
-    """
-    block = np.empty((64, _N_TOGETHER), dtype=np.uint64)
-    n_rows = len(chosen)
-    n_bytes = rows.shape[1]
-    n_words = columns.shape[1]
-    # Words of the result, some at a time; for each, the rows' bytes, eight at a time.
-    for begin in range(0, n_words, _N_TOGETHER):
-        n_together = min(_N_TOGETHER, n_words - begin)
-        for first in range(0, n_bytes, 8):
-            n_there = min(8, n_bytes - first)
-            for lane in range(n_together):
-                word = begin + lane
-                n_in_block = max(0, min(64, n_rows - 64 * word))
-                for bit in range(n_in_block, 64):
-                    block[bit, lane] = 0
-                for bit in range(n_in_block):
-                    row = rows[chosen[64 * word + bit]]
-                    # The compiler makes one load of these.
-                    if n_there == 8:
-                        value = (
-                            np.uint64(row[first])
-                            | np.uint64(row[first + 1]) << np.uint64(8)
-                            | np.uint64(row[first + 2]) << np.uint64(16)
-                            | np.uint64(row[first + 3]) << np.uint64(24)
-                            | np.uint64(row[first + 4]) << np.uint64(32)
-                            | np.uint64(row[first + 5]) << np.uint64(40)
-                            | np.uint64(row[first + 6]) << np.uint64(48)
-                            | np.uint64(row[first + 7]) << np.uint64(56)
-                        )
-                    else:
-                        value = np.uint64(0)
-                        for byte in range(n_there):
-                            value |= np.uint64(row[first + byte]) << np.uint64(8 * byte)
-                    block[bit, lane] = value
-            transpose_blocks(block)
-            for bit in range(8 * n_there):
-                column = place[8 * first + bit]
-                if column >= 0:
-                    for lane in range(n_together):
-                        columns[column, begin + lane] = block[bit, lane]
 
 
 # ---------- rows of bits

@@ -39,19 +39,6 @@ def test_the_lowest_bit_is_the_number_of_zeros_below_it(place, above):
     assert lowest == place
 
 
-@given(SEEDS, st.integers(1, 3))
-def test_blocks_are_transposed_bit_by_bit(seed, n):
-    bits = default_rng(seed).random((64, n, 64)) < 0.5
-
-    block = pack_words(bits)[..., 0]
-    kernels.transpose_blocks(block)
-
-    for column in range(n):
-        words = block[:, column, None]
-        turned = unpack_words(words, 64)
-        assert_array_equal(turned, bits[:, column].T)
-
-
 @given(SEEDS)
 def test_a_range_of_rows_has_the_bits_of_all_its_rows(seed):
     rng = default_rng(seed)

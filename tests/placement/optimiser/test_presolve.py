@@ -7,11 +7,11 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 
 from placement.optimiser import Limits, PresolveStatistics
-from placement.optimiser.bit_kernels import transpose_chosen
 from placement.optimiser.presolve import (
     distinct_rows,
     is_dominated,
     pack_words,
+    transpose_chosen,
     unpack_words,
 )
 
@@ -25,15 +25,6 @@ def test_packing_words_loses_nothing(n_bits, seed):
     assert_array_equal(unpacked, bits)
 
 
-def packed_rows(rng, n_rows, n_bytes):
-    """Bits as a table has them: not to be written to, or kernels would be compiled once
-    more.
-    """
-    rows = rng.integers(0, 256, (n_rows, n_bytes), dtype=np.uint8)
-    rows.setflags(write=False)
-    return rows
-
-
 @given(
     st.integers(1, 1200),
     st.integers(0, 1200),
@@ -42,21 +33,17 @@ def packed_rows(rng, n_rows, n_bytes):
 )
 def test_part_of_a_table_turned_round_has_its_bits(n_rows, n_chosen, n_bytes, seed):
     rng = default_rng(seed)
-    rows = packed_rows(rng, n_rows, n_bytes)
+    rows = rng.integers(0, 256, (n_rows, n_bytes), dtype=np.uint8)
     chosen = rng.integers(0, n_rows, n_chosen)
     is_left = rng.random(8 * n_bytes) < 0.7
-    left = np.flatnonzero(is_left)
-    place = np.full(8 * n_bytes, -1)
-    place[left] = rng.permutation(len(left))
+    left = rng.permutation(np.flatnonzero(is_left))
     columns = np.empty((len(left), -(-n_chosen // 64)), dtype=np.uint64)
 
-    transpose_chosen(rows, chosen, place, columns)
+    transpose_chosen(rows, chosen, left, columns, 2)
     unpacked = np.unpackbits(rows, axis=1, bitorder="little")
     bits = unpacked.view(bool)
 
-    assert_array_equal(
-        unpack_words(columns[place[left]], n_chosen), bits[np.ix_(chosen, left)].T
-    )
+    assert_array_equal(unpack_words(columns, n_chosen), bits[np.ix_(chosen, left)].T)
 
 
 @given(st.integers(0, 60), st.integers(1, 3), st.integers(0, 2**32 - 1))
