@@ -288,7 +288,7 @@ def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
     choice = root.choice
     price = root.price.copy()
     share = np.zeros(len(root.covers))
-    covers = root.covers.view(np.uint8)
+    by_byte = np.ascontiguousarray(root.covers.view(np.uint8).T)
     how = np.array(
         [
             constants.STEP_LENGTH,
@@ -299,7 +299,7 @@ def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
         ]
     )
     limit = tighten_prices(
-        covers, choice, root.weight, reward, price, n_steps, how, share
+        by_byte, choice, root.weight, reward, price, n_steps, how, share
     )
     # Shares sum up to the units; rounding makes the limit a little larger.
     share *= choice.n_units / max(float(share.sum()), constants.TINY)

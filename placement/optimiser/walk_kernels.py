@@ -282,7 +282,7 @@ def row_limit(
 
 @kernel
 def tighten_prices(
-    covers: ByteArray,
+    by_byte: ByteArray,
     choice: Choice,
     weight: FloatArray,
     reward: FloatArray,
@@ -295,8 +295,8 @@ def tighten_prices(
 
     Parameters
     ----------
-    covers : (n_poses, n_bytes) uint8
-        A bit for each row, lowest first.
+    by_byte : (n_bytes, n_poses) uint8
+        What each pose covers: a bit for each row, lowest first.
     choice : Choice
         Poses that may be chosen, and how many.
     weight : (n_rows,) float
@@ -330,9 +330,9 @@ def tighten_prices(
     units = np.zeros(n_rows, dtype=np.int64)
     gain = np.empty(n_poses)
     picked = np.empty(max(n_units, 1), dtype=np.int64)
-    table = np.empty((covers.shape[1], 256))
-    used = np.empty(covers.shape[1], dtype=np.int64)
-    every = np.full(-(-covers.shape[1] // 8), ~np.uint64(0))
+    table = np.empty((len(by_byte), 256))
+    used = np.empty(len(by_byte), dtype=np.int64)
+    every = np.full(-(-len(by_byte) // 8), ~np.uint64(0))
     # Padding behind the rows.
     for row in range(n_rows, 64 * len(every)):
         every[row >> 6] &= ~(np.uint64(1) << np.uint64(row & 63))
@@ -346,10 +346,14 @@ def tighten_prices(
             value, units[row] = row_limit(reward, weight[row], n_units, price[row])
             total += value
         n_used = weigh_bytes(price, every, table, used)
+        # Poses side by side, so that no addition waits for the one before it.
+        gain[:] = 0.0
+        for number in range(n_used):
+            place = used[number]
+            for pose in range(n_poses):
+                gain[pose] += table[place, by_byte[place, pose]]
         for pose in range(n_poses):
-            if is_open[pose]:
-                gain[pose] = weight_of(covers[pose], table, used, n_used)
-            else:
+            if not is_open[pose]:
                 gain[pose] = 0.0
         of_poses, n_picked = pick_affordable(gain, choice, picked)
         total += of_poses
@@ -377,7 +381,7 @@ def tighten_prices(
         for row in range(n_rows):
             rise = -float(units[row])
             for pose in picked[:n_picked]:
-                rise += (covers[pose, row >> 3] >> (row & 7)) & 1
+                rise += (by_byte[row >> 3, pose] >> (row & 7)) & 1
             slope[row] = rise + deflection * slope[row]
             steepness += slope[row] * slope[row]
         if steepness < 1.0e-12:
