@@ -294,15 +294,23 @@ def _with_point(
 
 
 @kernel
+def _edges_within(bounds: Bounds, window: Window) -> Bounds:
+    """Bounds of the pixels of a window whose centres lie within bounds."""
+    return (
+        max(bounds[0] - 0.5 - _SLACK_PX, float(window[0])),
+        max(bounds[1] - 0.5 - _SLACK_PX, float(window[1])),
+        min(bounds[2] + 0.5 + _SLACK_PX, float(window[2])),
+        min(bounds[3] + 0.5 + _SLACK_PX, float(window[3])),
+    )
+
+
+@kernel
 def pixels_within(bounds: Bounds, window: Window) -> Window:
     """Pixels of a window whose centres lie within bounds.
 
     Zeros if there are none.
     """
-    left = max(bounds[0] - 0.5 - _SLACK_PX, float(window[0]))
-    top = max(bounds[1] - 0.5 - _SLACK_PX, float(window[1]))
-    right = min(bounds[2] + 0.5 + _SLACK_PX, float(window[2]))
-    bottom = min(bounds[3] + 0.5 + _SLACK_PX, float(window[3]))
+    left, top, right, bottom = _edges_within(bounds, window)
     if not (left < right and top < bottom):
         return 0, 0, 0, 0
     # No number is negative: cutting off rounds down.
@@ -643,6 +651,48 @@ def _area_px2(pixels: FloatArray, i: int, j: int, k: int) -> float:
 
 
 @kernel
+def _find_shown(
+    pixels: FloatArray,
+    triangles: IntArray,
+    window: Window,
+    has_backs: bool,
+    shown: IntArray,
+) -> int:
+    """Find the triangles that may cover a pixel of a window; return how many.
+
+    Most of a distant body's triangles do not: they are backs, or lie between the
+    centres of pixels. They are told without a branch, which would be foreseen badly.
+
+    Parameters
+    ----------
+    pixels : (2, n_vertices) float
+        Vertices in the image, all ahead. [px]
+    triangles : (n_triangles, 3) int
+        Columns of `pixels`.
+    window : Window
+        Where to look.
+    has_backs : bool
+        True if triangles whose back is seen count, too.
+    shown : (n_triangles,) int
+        Written: the triangles, first in it.
+    """
+    n_shown = 0
+    for row in range(len(triangles)):
+        i = triangles[row, 0]
+        j = triangles[row, 1]
+        k = triangles[row, 2]
+        bounds = _bounds(pixels, i, j, k)
+        left, top, right, bottom = _edges_within(bounds, window)
+        is_wide = np.ceil(left) < np.floor(right)
+        is_high = np.ceil(top) < np.floor(bottom)
+        # Most backs are told by their corners in the image.
+        is_back = _area_px2(pixels, i, j, k) > _SURE_PX2
+        shown[n_shown] = row
+        n_shown += is_wide & is_high & (has_backs | (not is_back))
+    return n_shown
+
+
+@kernel
 def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Window:
     """Box around the pixels of a window that a body covers.
 
@@ -825,14 +875,18 @@ def draw(
     middle_x = 0.5 * image.width_px - 0.5
     middle_y = 0.5 * image.height_px - 0.5
     per_px = 1.0 / image.focal_px
+    shown = np.empty(len(triangles), dtype=np.int64)
+    if is_ahead:
+        n_shown = _find_shown(pixels, triangles, window, has_backs, shown)
+    else:
+        n_shown = len(triangles)
+        for row in range(n_shown):
+            shown[row] = row
     # Loop over the triangles, and the pixels that each may cover.
-    for row in range(len(triangles)):
+    for row in shown[:n_shown]:
         i = triangles[row, 0]
         j = triangles[row, 1]
         k = triangles[row, 2]
-        # Most backs are told by their corners in the image.
-        if is_ahead and not has_backs and _area_px2(pixels, i, j, k) > _SURE_PX2:
-            continue
         a = corner(points, i)
         b = corner(points, j)
         c = corner(points, k)
