@@ -769,14 +769,15 @@ def transpose_chosen(
     def transpose(begin: int, end: int) -> None:
         for first in range(begin, end, _WORDS_TOGETHER):
             last = min(first + _WORDS_TOGETHER, end)
+            n_words = last - first
             some = chosen[64 * first : 64 * last]
             # Behind the last row: no bit of it is set.
-            padded = np.zeros((last - first, 64, n_row_words), dtype=np.uint64)
-            of_rows = padded.reshape(-1, n_row_words).view(np.uint8)
-            of_rows[: len(some), :n_bytes] = row_bytes[some]
-            blocks = np.ascontiguousarray(padded.transpose(1, 2, 0))
+            padded = np.zeros((64 * n_words, n_row_words), dtype=np.uint64)
+            padded.view(np.uint8)[: len(some), :n_bytes] = row_bytes[some]
+            in_blocks = padded.reshape(n_words, 64, n_row_words)
+            blocks = np.ascontiguousarray(in_blocks.transpose(1, 2, 0))
             _transpose_blocks(blocks)
-            turned = blocks.transpose(1, 0, 2).reshape(-1, last - first)
+            turned = blocks.transpose(1, 0, 2).reshape(64 * n_row_words, n_words)
             columns[: len(bits), first:last] = turned[bits]
 
     share_out(transpose, columns.shape[1], workers=workers, few=workers)

@@ -111,7 +111,7 @@ def test_only_the_table_has_numbers_that_steer():
         if path.name != "constants.py"
     }
     mechanical = {
-        "bit_kernels.py": ["_N_TOGETHER = 1"],  # words at a time, no search
+        "presolve.py": ["_WORDS_TOGETHER = 1"],  # at a time, no search
         "allowed_sets.py": ["CENTS = 1", "_MAX_CENTS = 2"],  # units of money
         "walk_kernels.py": [
             "DONE = 0",
