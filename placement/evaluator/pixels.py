@@ -661,7 +661,7 @@ def _find_shown(
     """Find the triangles that may cover a pixel of a window; return how many.
 
     Most of a distant body's triangles do not: they are backs, or lie between the
-    centres of pixels. They are told without a branch, which would be foreseen badly.
+    centres of pixels. The loop has no branch, since processors predict this one badly.
 
     Parameters
     ----------
