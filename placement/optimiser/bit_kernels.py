@@ -16,8 +16,6 @@ from geometry.kernels import kernel
 
 from .problem import Chains, WordArray
 
-ByteArray = NDArray[np.uint8]
-
 
 @kernel
 def copy_entries(source: NDArray[Any], target: NDArray[Any]) -> None:

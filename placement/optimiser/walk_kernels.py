@@ -8,13 +8,13 @@ windows. Bits along rows, poses or frames are 64-bit words, lowest bit first.
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 from .allowed_sets import Choice
 from .bit_kernels import (
-    ByteArray,
     copy_entries,
     count_bits,
     has_bit,
@@ -23,6 +23,8 @@ from .bit_kernels import (
     lowest_bit,
 )
 from .problem import Chains, WordArray
+
+ByteArray = NDArray[np.uint8]
 
 
 # ---------- what is asked for, and who covers it
@@ -702,8 +704,7 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
             of_unit = covers.covers[walk.chosen[number]]
             for word in range(len(rows)):
                 rows[word] = of_unit[word] & ~walk.covered_twice[depth, word]
-            for pose in range(len(gain)):
-                beside[pose] = gain[pose]
+            copy_entries(gain, beside)
             of_rows = add_gains(covers, covers.weight, rows, walk, beside)
             need = total + of_rows - may_lose[ON_FAILURE]
             if not drop_hopeless(beside, is_open, n_working, need, walk.best):
@@ -781,8 +782,7 @@ def grow(
             # The set is complete.
             if at.n_found == len(out):
                 return FULL
-            for unit in range(len(walk.chosen)):
-                out[at.n_found, unit] = walk.chosen[unit]
+            copy_entries(walk.chosen, out[at.n_found])
             at.n_found += 1
             walk.position[depth] += 1
             walk.is_open[depth, pose] = False
