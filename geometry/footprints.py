@@ -68,12 +68,15 @@ def footprint_separation(corners_a_m: ArrayLike, corners_b_m: ArrayLike) -> Floa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FootprintSizes:
-    """Full lengths and widths of two rectangles, a and b."""
+    """Full lengths and widths of two rectangles, a and b.
 
-    length_a_m: float
-    width_a_m: float
-    length_b_m: float
-    width_b_m: float
+    Arrays of them are the sizes of as many pairs.
+    """
+
+    length_a_m: float | FloatArray
+    width_a_m: float | FloatArray
+    length_b_m: float | FloatArray
+    width_b_m: float | FloatArray
 
 
 def gaps_between(

@@ -4,18 +4,26 @@ How the VUT brakes, when braking is too late, and what it leaves of the speed.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.arrays import FloatArray
+from geometry.arrays import FloatArray, IntArray
 from geometry.errors import check_field
 from geometry.tables import Table, read_table
 from geometry.text_formats import load_data
 
-from .encounters import GRAZING_M, Cells, Encounter, Measures, find_first_touch
+from .encounters import (
+    GRAZING_M,
+    Cells,
+    Encounter,
+    Measures,
+    find_first_touches,
+    gaps_of_each,
+)
 
 TIME_TOLERANCE_S = 1.0e-9
 """Frames lie on multiples of 0.1 s, which binary numbers only approach."""
@@ -162,6 +170,8 @@ def _phases(time_s: FloatArray, rule: AebRule) -> tuple[FloatArray, FloatArray]:
 # First cells of the search for the last brake time.
 _ONSET_STEP_S = 0.25
 _ONSET_TOLERANCE_S = 1.0e-5
+# Encounters that are searched side by side; more take more memory and no less time.
+_ENCOUNTERS_TOGETHER = 64
 # A footprint moves 1.7 cm in it at 60 km/h.
 _FINE_STEP_S = 0.001
 # Each 32 times as fine: to a thirtieth of a microsecond.
@@ -175,61 +185,135 @@ _CONTACT_ROUNDS = 2
 def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
     """Latest onset of braking such that it and every earlier one avoids the contact.
 
-    It is at most 0, and minus infinity if even braking at the VUT's start does not
+    See :func:`last_brake_times_s`.
+    """
+    return float(last_brake_times_s([encounter], rule)[0])
+
+
+def last_brake_times_s(encounters: Sequence[Encounter], rule: AebRule) -> FloatArray:
+    """Latest onsets of braking such that they and every earlier one avoid the contact.
+
+    Each is at most 0, and minus infinity if even braking at the VUT's start does not
     help.
 
     Swept, not solved: paths may bend, and contact may set in, vanish and set in again
     with later onsets. The sweep goes over onsets and times at once, coarsely where the
-    bodies are far apart; see :func:`scenarios.encounters.find_first_touch`. An onset 10
-    microseconds later leads to contact.
-    """
-    vut = encounter.vut_motion
-    vru = encounter.vru_motion
-    start = vut.start_time_s
-    if start >= 0.0:
-        return -np.inf
-    standstill = float(standstill_time_s(vut.speed_mps, rule=rule))
-    closing = encounter.vru_reach * vru.speed_mps
-    bend = encounter.max_gap_bend_mps2(rule.deceleration_mps2)
+    bodies are far apart; see :func:`scenarios.encounters.find_first_touches`. An onset
+    10 microseconds later leads to contact.
 
-    def measure(cells: Cells) -> Measures:
+    Returns
+    -------
+    last_s : (n_encounters,) float
+        Relative to the impact. [s]
+    """
+    last_s = np.full(len(encounters), -np.inf)
+    # Who stands until the impact cannot brake before it.
+    asked = [
+        number
+        for number, encounter in enumerate(encounters)
+        if encounter.vut_motion.start_time_s < 0.0
+    ]
+    for begin in range(0, len(asked), _ENCOUNTERS_TOGETHER):
+        block = asked[begin : begin + _ENCOUNTERS_TOGETHER]
+        onsets = _Onsets([encounters[number] for number in block], rule)
+        safe_s, _ = find_first_touches(
+            onsets.first_cells(),
+            onsets.measure,
+            n_searches=len(block),
+            tolerance_s=_ONSET_TOLERANCE_S,
+        )
+        is_avoided = safe_s > onsets.start_s
+        last_s[block] = np.where(is_avoided, np.minimum(safe_s, 0.0), -np.inf)
+    return last_s
+
+
+class _Onsets:
+    """Onsets of braking in some encounters, and times of contact after them.
+
+    The first time of a cell is an onset, the second one a time; its search is the
+    number of the encounter.
+    """
+
+    def __init__(self, encounters: Sequence[Encounter], rule: AebRule) -> None:
+        """Collect the numbers of all encounters, (n_encounters,) each."""
+        self._encounters = encounters
+        self._rule = rule
+        vuts = [encounter.vut_motion for encounter in encounters]
+        vrus = [encounter.vru_motion for encounter in encounters]
+        self.start_s = np.array([motion.start_time_s for motion in vuts])
+        self._vru_start_s = np.array([motion.start_time_s for motion in vrus])
+        self._speed_mps = np.array([motion.speed_mps for motion in vuts])
+        self._standstill_s = standstill_time_s(self._speed_mps, rule=rule)
+        self._vut_reach = np.array([one.vut_reach for one in encounters])
+        vru_reach = np.array([one.vru_reach for one in encounters])
+        vru_speed_mps = np.array([motion.speed_mps for motion in vrus])
+        self._closing_mps = vru_reach * vru_speed_mps
+        self._bend_mps2 = np.array(
+            [one.max_gap_bend_mps2(rule.deceleration_mps2) for one in encounters]
+        )
+        self._near_m = np.array([one.near_m for one in encounters])
+        self._small_m = np.array([one.small_m for one in encounters])
+
+    def first_cells(self) -> Cells:
+        """Onsets from the start to the impact, times up to standstill."""
+        parts = []
+        for number, start_s in enumerate(self.start_s.tolist()):
+            n_onsets = int(-start_s / _ONSET_STEP_S) + 1
+            step_s = -start_s / n_onsets
+            onset_s = start_s + step_s * (np.arange(n_onsets) + 0.5)
+            n_times = int(self._standstill_s[number] / step_s) + 2
+            since_onset_s = step_s * np.arange(n_times)
+            time_s = onset_s[:, None] + since_onset_s
+            half_s = np.full(time_s.size, 0.5 * step_s)
+            parts.append(
+                Cells(
+                    search=np.full(time_s.size, number),
+                    first_s=onset_s.repeat(n_times),
+                    second_s=time_s.ravel(),
+                    half_first_s=half_s,
+                    half_second_s=half_s,
+                )
+            )
+        return Cells(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def measure(self, cells: Cells) -> Measures:
+        """Whether the bodies touch in cells, as :func:`find_first_touches` asks."""
+        search = cells.search
         onset = cells.first_s
         half_onset = cells.half_first_s
         half_time = cells.half_second_s
+        full_speed = self._speed_mps[search]
+        standstill = self._standstill_s[search]
+        vut_reach = self._vut_reach[search]
         times = np.stack([cells.second_s - half_time, cells.second_s + half_time])
         since_onset = times - onset
-        braking_s = np.maximum(since_onset, 0.0)
-        braked_m = braking_distance_m(braking_s, speed_mps=vut.speed_mps, rule=rule)
-        # The VUT drives on up to the onset, and brakes from there.
-        driven = vut.distance_m(np.minimum(onset, times)) + braked_m
         # (4, 2, n).
-        gaps = encounter.gaps_m(driven, vru.distance_m(times))
+        gaps = self._gaps_m(search, times, onset, full_speed)
         separation = gaps.max(axis=0)
         # How long it has braked within the cell, at least and at most.
         least_s = since_onset[0] - half_onset
         most_s = since_onset[1] + half_onset
         braking_s = np.maximum(np.stack([least_s, most_s]), 0.0)
         fastest, slowest = braking_speed_mps(
-            braking_s, speed_mps=vut.speed_mps, rule=rule
+            braking_s, speed_mps=full_speed, rule=self._rule
         )
-        speed = encounter.vut_reach * fastest + closing
+        speed = vut_reach * fastest + self._closing_mps[search]
         mean = 0.5 * (separation[0] + separation[1])
         # Between its ends a gap sags no deeper than a parabola, while neither body sets
         # off.
-        is_smooth = (separation[0] <= encounter.near_m) & (
-            speed * half_time <= encounter.small_m
-        )
-        for set_off_s in (start, vru.start_time_s):
+        is_near = separation[0] <= self._near_m[search]
+        is_smooth = is_near & (speed * half_time <= self._small_m[search])
+        for starts_s in (self.start_s, self._vru_start_s):
+            set_off_s = starts_s[search]
             is_smooth &= (times[0] >= set_off_s) | (times[1] <= set_off_s)
+        bend = self._bend_mps2[search]
         sagging = gaps.min(axis=1).max(axis=0) - 0.5 * bend * half_time**2
         lowest = mean - speed * half_time
         lowest = np.where(is_smooth, np.maximum(lowest, sagging), lowest)
         # A later onset has let the VUT keep the speed that an earlier one has taken
         # since.
-        onset_moves = encounter.vut_reach * (vut.speed_mps - slowest) * half_onset
-        may_touch = (lowest <= onset_moves) & (
-            since_onset[0] - half_onset <= standstill
-        )
+        onset_moves = vut_reach * (full_speed - slowest) * half_onset
+        may_touch = (lowest <= onset_moves) & (least_s <= standstill)
         counts = (since_onset >= 0.0) & (since_onset <= standstill + TIME_TOLERANCE_S)
         touches = ((separation <= 0.0) & counts).any(axis=0)
         touches |= may_touch & (onset_moves + speed * half_time <= GRAZING_M)
@@ -238,20 +322,19 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
             may_touch=may_touch, touches=touches, is_cut_along_first=by_onset
         )
 
-    # First cells: onsets from the start to the impact, times up to standstill.
-    n_onsets = int(-start / _ONSET_STEP_S) + 1
-    step = -start / n_onsets
-    onset = start + step * (np.arange(n_onsets) + 0.5)
-    since_onset = step * np.arange(int(standstill / step) + 2)
-    onsets, times = np.broadcast_arrays(onset[:, None], onset[:, None] + since_onset)
-    first = onsets.ravel()
-    second = times.ravel()
-    half = np.full(onsets.size, 0.5 * step)
-    cells = Cells(first_s=first, second_s=second, half_first_s=half, half_second_s=half)
-    safe_s, _ = find_first_touch(cells, measure, tolerance_s=_ONSET_TOLERANCE_S)
-    if safe_s <= start:
-        return -np.inf
-    return min(safe_s, 0.0)
+    def _gaps_m(
+        self,
+        search: IntArray,
+        times_s: FloatArray,
+        onset_s: FloatArray,
+        speed_mps: FloatArray,
+    ) -> FloatArray:
+        """Gaps between the bodies at two times of each cell, (4, 2, n)."""
+        braking_s = np.maximum(times_s - onset_s, 0.0)
+        braked_m = braking_distance_m(braking_s, speed_mps=speed_mps, rule=self._rule)
+        # The VUT drives on up to the onset, and brakes from there.
+        driving_s = np.minimum(onset_s, times_s)
+        return gaps_of_each(self._encounters, search, driving_s, braked_m, times_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -3,7 +3,7 @@
 How far apart they are, and when they first touch.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Meta
 
 from geometry.actors import Actor, footprint_sizes
-from geometry.arrays import BoolArray, FloatArray
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, Unquoted, check_field
 from geometry.footprints import FootprintSizes, gaps_between
 
@@ -28,10 +28,10 @@ _STEP_GROWTH = 0.05
 _CONTACT_TOLERANCE_S = 1.0e-7
 # Nearer is contact: cells in which the bodies move less are not divided.
 GRAZING_M = 1.0e-7
-# Of a cell along one time.
+# Of a cell along one time; many where there is one time only, so that few looks do.
 _N_PARTS = 8
-_PART_MIDDLES = (2.0 * np.arange(_N_PARTS) + 1.0) / _N_PARTS - 1.0
-# Cells to divide in one go.
+_N_PARTS_OF_ONE_TIME = 64
+# Cells of one search to divide in one go.
 _N_TOGETHER = 1024
 
 
@@ -148,6 +148,61 @@ class Encounter:
         )
 
 
+def gaps_of_each(
+    encounters: Sequence[Encounter],
+    which: IntArray,
+    driving_s: FloatArray,
+    braked_m: FloatArray,
+    times_s: FloatArray,
+) -> FloatArray:
+    """Gaps of several encounters side by side, see :meth:`Encounter.gaps_m`.
+
+    Only the paths are asked one by one: numpy takes hardly longer for the gaps of many
+    than for those of one.
+
+    Parameters
+    ----------
+    encounters : sequence of Encounter
+        What is looked at.
+    which : (n,) int
+        Encounter of each column, ascending.
+    driving_s : (k, n) float
+        Times up to which the VUT drives without braking. [s]
+    braked_m : (k, n) float
+        How far it drives on from there. [m]
+    times_s : (k, n) float
+        Times at which the VRU is looked at. [s]
+
+    Returns
+    -------
+    gaps_m : (4, k, n) float
+    """
+    offset_m = np.empty((*times_s.shape, 2))
+    vut_yaw_deg = np.empty(times_s.shape)
+    vru_yaw_deg = np.empty(times_s.shape)
+    ends = np.searchsorted(which, np.arange(len(encounters) + 1)).tolist()
+    for encounter, (begin, end) in zip(encounters, pairwise(ends), strict=True):
+        if begin == end:
+            continue
+        part = slice(begin, end)
+        vut = encounter.vut_motion
+        vru = encounter.vru_motion
+        vut_m = vut.distance_m(driving_s[:, part]) + braked_m[:, part]
+        vut_position, vut_yaw_deg[:, part] = vut.path.at(vut_m)
+        vru_m = vru.distance_m(times_s[:, part])
+        vru_position, vru_yaw_deg[:, part] = vru.path.at(vru_m)
+        offset_m[:, part] = vru_position - vut_position
+    vuts = [encounter.vut for encounter in encounters]
+    vrus = [encounter.vru for encounter in encounters]
+    sizes = FootprintSizes(
+        length_a_m=np.array([body.length_m for body in vuts])[which],
+        width_a_m=np.array([body.width_m for body in vuts])[which],
+        length_b_m=np.array([body.length_m for body in vrus])[which],
+        width_b_m=np.array([body.width_m for body in vrus])[which],
+    )
+    return gaps_between(offset_m, vut_yaw_deg, vru_yaw_deg, sizes=sizes)
+
+
 def first_contact_s(encounter: Encounter) -> float:
     """Time at which the bodies first touch without braking, in s.
 
@@ -185,18 +240,30 @@ def first_contact_s(encounter: Encounter) -> float:
     half = 0.5 * np.diff(edges)
     nothing = np.zeros(n_cells)
     cells = Cells(
-        first_s=middle, second_s=nothing, half_first_s=half, half_second_s=nothing
+        search=np.zeros(n_cells, dtype=np.int64),
+        first_s=middle,
+        second_s=nothing,
+        half_first_s=half,
+        half_second_s=nothing,
     )
-    _, touch_s = find_first_touch(cells, measure, tolerance_s=_CONTACT_TOLERANCE_S)
-    return touch_s
+    _, touch_s = find_first_touches(
+        cells,
+        measure,
+        n_searches=1,
+        tolerance_s=_CONTACT_TOLERANCE_S,
+        n_parts=_N_PARTS_OF_ONE_TIME,
+    )
+    return float(touch_s[0])
 
 
 class Cells(NamedTuple):
-    """Rectangles in the plane of two times.
+    """Rectangles in the plane of two times, each of one of several searches.
 
-    The middle of each and half its size, (n,) each.
+    The middle of each and half its size, (n,) each. `search` is the number of the
+    search that it belongs to, ascending.
     """
 
+    search: IntArray
     first_s: FloatArray
     second_s: FloatArray
     half_first_s: FloatArray
@@ -222,10 +289,15 @@ class Measures:
     is_cut_along_first: BoolArray
 
 
-def find_first_touch(
-    cells: Cells, measure: Callable[[Cells], Measures], *, tolerance_s: float
-) -> tuple[float, float]:
-    """Smallest first time at which there is a contact, found between two limits.
+def find_first_touches(
+    cells: Cells,
+    measure: Callable[[Cells], Measures],
+    *,
+    n_searches: int,
+    tolerance_s: float,
+    n_parts: int = _N_PARTS,
+) -> tuple[FloatArray, FloatArray]:
+    """Smallest first time at which there is a contact, between two limits.
 
     There is no contact before the first limit and one at the second, which are at most
     `tolerance_s` apart; both are infinite if there is none. `cells` cover everything to
@@ -234,55 +306,113 @@ def find_first_touch(
 
     Branch and bound: a cell whose bodies are further apart than they can move within it
     holds no contact, so nothing is overlooked between two looks. The others are
-    divided, the earliest first.
+    divided, the earliest first. Searches do not depend on one another: they go on side
+    by side because `measure` takes hardly longer for many cells than for a few.
+
+    Returns
+    -------
+    safe_s, touch_s : (n_searches,) float
+        The limits of each search.
     """
-    pool, touch_s = _look(np.stack(cells), measure, np.inf)
-    while pool.shape[1] > 0:
-        begin = pool[0] - pool[2]
-        safe_s = float(begin.min())
-        if touch_s - safe_s <= tolerance_s:
-            return safe_s, touch_s
-        waiting = pool[:, :0]
+    touch_s = np.full(n_searches, np.inf)
+    safe_s = np.full(n_searches, np.inf)
+    pool = _look(np.stack(cells[1:]), cells.search, measure, touch_s)
+    while len(pool.search) > 0:
+        earliest_s = np.full(n_searches, np.inf)
+        np.minimum.at(earliest_s, pool.search, pool.begin_s)
+        goes_on = earliest_s < touch_s - tolerance_s
+        is_pending = goes_on[pool.search]
+        if not is_pending.all():
+            ended = pool.search[~is_pending]
+            safe_s[ended] = earliest_s[ended]
+            pool = pool.take(is_pending)
+            continue
         # Only the earliest cells are divided; the others wait.
-        if len(begin) > _N_TOGETHER:
-            order = np.argpartition(begin, _N_TOGETHER)
-            pool, waiting = pool[:, order[:_N_TOGETHER]], pool[:, order[_N_TOGETHER:]]
-        divided, touch_s = _look(_divide(pool), measure, touch_s)
-        waiting = waiting[:, waiting[0] - waiting[2] < touch_s]
-        pool = np.concatenate([divided, waiting], axis=1)
-    return touch_s, touch_s
+        waiting = None
+        if np.bincount(pool.search).max() > _N_TOGETHER:
+            is_early = _are_earliest(pool)
+            waiting = pool.take(~is_early)
+            pool = pool.take(is_early)
+        search = pool.search.repeat(n_parts)
+        pool = _look(_divide(pool, n_parts), search, measure, touch_s)
+        if waiting is not None:
+            waiting = waiting.take(waiting.begin_s < touch_s[waiting.search])
+            pool = pool.joined(waiting)
+    # A search that ran out of cells has no contact, or its limits are the same.
+    return np.minimum(safe_s, touch_s), touch_s
 
 
-def _divide(pool: FloatArray) -> FloatArray:
-    """Cut each cell into equal parts.
+class _Pool(NamedTuple):
+    """Cells that may hold an earlier contact than is known, in the order of searches.
 
-    Rows are middles, halves, and whether to cut along the first time.
+    Attributes
+    ----------
+    search : (n,) int
+        Search of each, ascending.
+    rows : (5, n) float
+        Middles along both times, half sizes along both, and 1 where a cell is cut
+        along the first time.
     """
-    middle = pool[:2]
-    half = pool[2:4]
-    is_cut = np.stack([pool[4] > 0.0, pool[4] == 0.0])
-    middles = (
-        middle[:, :, None] + np.where(is_cut, half, 0.0)[:, :, None] * _PART_MIDDLES
-    )
-    halves = np.repeat(np.where(is_cut, half / _N_PARTS, half), _N_PARTS, axis=1)
+
+    search: IntArray
+    rows: FloatArray
+
+    @property
+    def begin_s(self) -> FloatArray:
+        """First times at which the cells begin, (n,)."""
+        begin_s: FloatArray = self.rows[0] - self.rows[2]
+        return begin_s
+
+    def take(self, is_taken: BoolArray) -> "_Pool":
+        """Some of the cells."""
+        return _Pool(self.search[is_taken], self.rows[:, is_taken])
+
+    def joined(self, other: "_Pool") -> "_Pool":
+        """These cells and others, by their searches."""
+        search = np.concatenate([self.search, other.search])
+        order = np.argsort(search, kind="stable")
+        rows = np.concatenate([self.rows, other.rows], axis=1)
+        return _Pool(search[order], rows[:, order])
+
+
+def _are_earliest(pool: _Pool) -> BoolArray:
+    """Which cells are among the earliest of their search, at most ``_N_TOGETHER``."""
+    order = np.lexsort((pool.begin_s, pool.search))
+    first = np.searchsorted(pool.search, pool.search)
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order)) - first
+    return rank < _N_TOGETHER
+
+
+def _divide(pool: _Pool, n_parts: int) -> FloatArray:
+    """Cut each cell into equal parts: middles and half sizes, (4, n * n_parts)."""
+    middle = pool.rows[:2]
+    half = pool.rows[2:4]
+    by_first = pool.rows[4] > 0.0
+    is_cut = np.stack([by_first, ~by_first])
+    at = (2.0 * np.arange(n_parts) + 1.0) / n_parts - 1.0
+    middles = middle[:, :, None] + np.where(is_cut, half, 0.0)[:, :, None] * at
+    halves = np.where(is_cut, half / n_parts, half).repeat(n_parts, axis=1)
     return np.concatenate([middles.reshape(2, -1), halves])
 
 
 def _look(
-    pool: FloatArray, measure: Callable[[Cells], Measures], touch_s: float
-) -> tuple[FloatArray, float]:
-    """Cells that may hold an earlier contact, and the earliest contact.
+    rows: FloatArray,
+    search: IntArray,
+    measure: Callable[[Cells], Measures],
+    touch_s: FloatArray,
+) -> _Pool:
+    """Cells that may hold an earlier contact; lowers `touch_s`, (n_searches,).
 
-    The cells are as :func:`_divide` takes them.
+    `rows` (4, n) are middles and half sizes.
     """
-    seen = measure(Cells(*pool[:4]))
+    seen = measure(Cells(search, *rows))
+    middle = rows[0]
     if seen.touches.any():
-        touch_s = min(touch_s, float(pool[0][seen.touches].min()))
-    kept = seen.may_touch & (pool[0] - pool[2] < touch_s)
-    return (
-        np.concatenate([pool[:4], seen.is_cut_along_first[None, :]])[:, kept],
-        touch_s,
-    )
+        np.minimum.at(touch_s, search[seen.touches], middle[seen.touches])
+    kept = seen.may_touch & (middle - rows[2] < touch_s[search])
+    every = _Pool(search, np.concatenate([rows, seen.is_cut_along_first[None, :]]))
+    return every.take(kept)
 
 
 def _half_diagonal_m(body: Actor) -> float:

@@ -5,7 +5,7 @@ A run lies on a grid of frames that ends at the impact.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from shapely import LineString, Point
@@ -19,7 +19,7 @@ from geometry.scene import Scene
 from geometry.terrain import Terrain, set_down, terrain_of
 from geometry.weather import load_weathers
 
-from .aeb import AebRule, last_brake_time_s
+from .aeb import AebRule, last_brake_times_s
 from .cases import Case, at_vru_speed, worded_for
 from .confirmation import confirmation_mask, held_frames, is_in_time
 from .encounters import Encounter, RecordedEncounter
@@ -486,7 +486,7 @@ def build_runs(
     else:
         right_hand = junction
     known_by_id = {run.id: run for run in known}
-    runs: list[Run] = []
+    laid: list[Run | _Staged] = []
     refusals: list[Refusal] = []
     for case in (worded_for(case, keeps_left=junction.keeps_left) for case in cases):
         for approach in dict.fromkeys(approaches or junction.arms):
@@ -518,18 +518,32 @@ def build_runs(
                     rule=rule,
                     known=known_by_id,
                 )
-                laid, refused = drive.lay(turn if is_spread else None)
-                runs += [
-                    (
-                        run
-                        if one == run.weather
-                        else replace(run, id=f"{run.id}/{one}", weather=one)
-                    )
-                    for run in laid
-                    for one in dict.fromkeys(weathers)
-                ]
+                runs, refused = drive.lay(turn if is_spread else None)
+                laid += runs
                 refusals += refused
-    return tuple(runs), tuple(refusals)
+    return _in_weathers(_build_all(laid, rule), weathers), tuple(refusals)
+
+
+def _build_all(laid: Sequence["Run | _Staged"], rule: AebRule) -> list[Run]:
+    """Runs in their order; the last brake times are found side by side."""
+    staged = [one for one in laid if isinstance(one, _Staged)]
+    last_s = last_brake_times_s([one.staging.encounter for one in staged], rule)
+    times_s = iter(last_s.tolist())
+    runs = []
+    for one in laid:
+        if isinstance(one, _Staged):
+            one = one.drive.run(one.case, one.speed_kmh, one.staging, next(times_s))
+        runs.append(one)
+    return runs
+
+
+def _in_weathers(runs: Sequence[Run], weathers: Sequence[str]) -> tuple[Run, ...]:
+    """Each run once in each weather."""
+    return tuple(
+        run if one == run.weather else replace(run, id=f"{run.id}/{one}", weather=one)
+        for run in runs
+        for one in dict.fromkeys(weathers)
+    )
 
 
 def nearest_arm(recorded: RecordedEncounter, junction: Junction) -> tuple[str, float]:
@@ -586,6 +600,15 @@ def _refusal(
     )
 
 
+class _Staged(NamedTuple):
+    """A run of a drive that lacks its frames and its last brake time."""
+
+    drive: "_Drive"
+    case: Case
+    speed_kmh: float
+    staging: Staging
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Drive:
     """A case at a place: what its runs at several speeds have in common.
@@ -626,13 +649,13 @@ class _Drive:
     rule: AebRule
     known: Mapping[str, Run]
 
-    def lay(self, turn: int | None) -> tuple[list[Run], list[Refusal]]:
+    def lay(self, turn: int | None) -> tuple[list["Run | _Staged"], list[Refusal]]:
         """Runs at ascending speeds by day, and what could not be laid.
 
         Speeds take turns with the positions from `turn` on; None: all of them are
-        driven.
+        driven. Known runs are returned as they are.
         """
-        runs = []
+        runs: list[Run | _Staged] = []
         reasons: dict[tuple[Phrase, bool], list[tuple[float, float]]] = {}
         too_fast: dict[float, list[tuple[float, float]]] = {}
         for speed_kmh, vru_speed_kmh in self._pairs(turn):
@@ -651,7 +674,7 @@ class _Drive:
                 reason = error.why, not isinstance(error, NoRoadError)
                 reasons.setdefault(reason, []).append((speed_kmh, vru_speed_kmh))
             else:
-                runs.append(self._run(case, speed_kmh, staging))
+                runs.append(_Staged(self, case, speed_kmh, staging))
         limits = {}
         for limit_kmh, pairs in too_fast.items():
             why = Phrase(
@@ -765,7 +788,9 @@ class _Drive:
             speeds += f"x{case.vru_speed_kmh:g}"
         return f"{case.name}/{place}/{speeds}"
 
-    def _run(self, case: Case, speed_kmh: float, staging: Staging) -> Run:
+    def run(
+        self, case: Case, speed_kmh: float, staging: Staging, last_brake_s: float
+    ) -> Run:
         """The run of a staging, on its grid of frames."""
         encounter = staging.encounter
         rate_hz = self.rule.frame_rate_hz
@@ -789,5 +814,5 @@ class _Drive:
             **frames_at(encounter, time_s),
             obstruction=set_down(staging.obstruction, self.scene),
             terrain=terrain_of(self.scene),
-            last_brake_time_s=last_brake_time_s(encounter, self.rule),
+            last_brake_time_s=last_brake_s,
         )

@@ -10,9 +10,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geometry.actors import Actor, PlacedActor
+from geometry.actors import Actor, PlacedActor, footprint_sizes
 from geometry.arrays import FloatArray
-from geometry.footprints import footprint_corners, footprint_separation
+from geometry.footprints import gaps_between
 from geometry.junction import Line
 from geometry.phrases import Phrase
 from geometry.poses import Pose
@@ -216,16 +216,13 @@ def _gap_to_front(
     along = (impact_offset_m(case, vut) - offset) / across - case.vru_reference_m
     middle = vru_line.point_m + along[:, None] * vru_line.direction
     is_ahead = ((middle - position) * ahead).sum(axis=-1)
-    vru = case.vru
-    vru_yaw_deg = np.full(len(middle), vru_line.yaw_deg)
-    own = footprint_corners(
-        position, yaw_deg, length_m=vut.length_m, width_m=vut.width_m
+    gaps = gaps_between(
+        middle - position,
+        yaw_deg,
+        vru_line.yaw_deg,
+        sizes=footprint_sizes(vut, case.vru),
     )
-    other = footprint_corners(
-        middle, vru_yaw_deg, length_m=vru.length_m, width_m=vru.width_m
-    )
-    separation = footprint_separation(own, other)
-    return np.where(is_ahead > 0.0, separation, np.inf), along
+    return np.where(is_ahead > 0.0, gaps.max(axis=0), np.inf), along
 
 
 def _gap_to_side(

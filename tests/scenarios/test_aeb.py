@@ -32,6 +32,7 @@ from scenarios.aeb import (
     _separation_m,
     find_contacts,
     last_brake_time_s,
+    last_brake_times_s,
     load_aeb_rule,
     standstill_time_s,
 )
@@ -465,6 +466,14 @@ def test_last_brake_time_on_a_turn_matches_a_simulation_in_small_steps(
 
     assert not _simulated_contact_on_a_turn(encounter, last_s - 0.003, build_up_s)
     assert _simulated_contact_on_a_turn(encounter, last_s + 0.003, build_up_s)
+
+
+@settings(max_examples=20)
+@given(st.lists(st.one_of(encounters(), turning_encounters()), max_size=4))
+def test_last_brake_times_of_many_are_those_of_each(many):
+    together = last_brake_times_s(many, RULE)
+
+    assert together.tolist() == [last_brake_time_s(each, RULE) for each in many]
 
 
 def test_a_start_too_close_to_avoid_anything_is_minus_infinity():

@@ -18,7 +18,7 @@ from scenarios.encounters import (
     Cells,
     Encounter,
     Measures,
-    find_first_touch,
+    find_first_touches,
     first_contact_s,
 )
 from scenarios.paths import Motion, StraightPath, TurnPath
@@ -295,15 +295,16 @@ def test_a_contact_before_the_later_one_sets_off_counts():
 DISCS = st.tuples(numbers(0.0, 10.0), numbers(0.0, 3.0), numbers(1e-4, 1.0))
 
 
-@given(st.lists(DISCS, max_size=5))
-def test_search_finds_the_leftmost_point_of_discs_however_small(discs):
-    """Contact sets in, vanishes and sets in again: the first of all counts."""
+def search_discs(searches, **options):
+    """Leftmost points of discs, of each search between two limits."""
 
     def measure(cells):
         distance = np.full(cells.first_s.shape, np.inf)
-        for first, second, radius in discs:
-            away = np.hypot(cells.first_s - first, cells.second_s - second) - radius
-            distance = np.minimum(distance, away)
+        for number, discs in enumerate(searches):
+            is_own = cells.search == number
+            for first, second, radius in discs:
+                away = np.hypot(cells.first_s - first, cells.second_s - second)
+                distance[is_own] = np.minimum(distance, away - radius)[is_own]
 
         moves = np.hypot(cells.half_first_s, cells.half_second_s)
         may_touch = distance <= moves
@@ -313,20 +314,54 @@ def test_search_finds_the_leftmost_point_of_discs_however_small(discs):
             is_cut_along_first=cells.half_first_s >= cells.half_second_s,
         )
 
+    n_searches = len(searches)
     grids = np.meshgrid(np.arange(-2.0, 13.0), np.arange(-2.0, 6.0))
-    first, second = (grid.ravel() for grid in grids)
+    first, second = (np.tile(grid.ravel(), n_searches) for grid in grids)
     half = np.full(first.shape, 0.5)
     cells = Cells(
+        search=np.arange(n_searches).repeat(grids[0].size),
         first_s=first,
         second_s=second,
         half_first_s=half,
         half_second_s=half,
     )
-    safe_s, touch_s = find_first_touch(cells, measure, tolerance_s=1e-6)
+    return find_first_touches(
+        cells, measure, n_searches=n_searches, tolerance_s=1e-6, **options
+    )
 
-    if not discs:
-        assert safe_s == touch_s == np.inf
-    else:
+
+@given(
+    st.lists(st.lists(DISCS, max_size=5), min_size=1, max_size=3),
+    st.sampled_from([2, 8, 64]),
+)
+def test_search_finds_the_leftmost_point_of_discs_however_small(searches, n_parts):
+    """Contact sets in, vanishes and sets in again: the first of all counts."""
+    safe_s, touch_s = search_discs(searches, n_parts=n_parts)
+
+    assert safe_s.shape == touch_s.shape == (len(searches),)
+    for number, discs in enumerate(searches):
+        if not discs:
+            assert safe_s[number] == touch_s[number] == np.inf
+            continue
         leftmost = min(first - radius for first, _, radius in discs)
-        assert safe_s <= leftmost + 1e-12
-        assert leftmost - 2.0 * GRAZING_M <= touch_s <= safe_s + 1e-6
+        assert safe_s[number] <= leftmost + 1e-12
+        assert leftmost - 2.0 * GRAZING_M <= touch_s[number] <= safe_s[number] + 1e-6
+
+
+@given(st.lists(st.lists(DISCS, max_size=5), min_size=2, max_size=3))
+def test_searches_side_by_side_find_what_each_finds_alone(searches):
+    together = np.array(search_discs(searches))
+    one_by_one = [np.array(search_discs([discs])) for discs in searches]
+
+    assert together.tolist() == np.concatenate(one_by_one, axis=1).tolist()
+
+
+def test_search_divides_the_earliest_of_many_cells_first(monkeypatch):
+    """Cells that wait for their turn are not forgotten."""
+    discs = [(4.0, 1.0, 0.5), (9.0, 2.0, 0.3)]
+    at_once = np.array(search_discs([discs, discs[1:]]))
+    monkeypatch.setattr("scenarios.encounters._N_TOGETHER", 3)
+
+    in_turn = np.array(search_discs([discs, discs[1:]]))
+
+    assert in_turn == pytest.approx(at_once, abs=1e-6)
