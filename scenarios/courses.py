@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import FloatArray, freeze
@@ -658,8 +659,6 @@ def _gentle(
     origin_m: tuple[float, ...],
 ) -> Course:
     """The course of :func:`follow_gently`, from values that can be hashed."""
-    from scipy.ndimage import maximum_filter1d
-
     chain = np.array(points)
     is_new = np.append(True, np.hypot(*np.diff(chain, axis=0).T) > _SAME_POINT_M)
     free = np.array(free_m)[is_new]
@@ -676,5 +675,7 @@ def _gentle(
         if excess.max() <= 1.0:
             break
         # Where the course leaves the lanes too far, its points weigh more.
-        weight *= maximum_filter1d(np.maximum(1.03 * excess, 1.0) ** 2, 2 * near + 1)
+        heavier = np.maximum(1.03 * excess, 1.0) ** 2
+        beside = sliding_window_view(np.pad(heavier, near), 2 * near + 1)
+        weight *= beside.max(axis=1)
     return _smoothed(samples, at, origin_m, smoothing_m=_GENTLE_M, weight=weight)

@@ -21,7 +21,6 @@ scipy.constants has it, too, but takes long to load.
 
 # Chords of an arc of 8 m come within half a micrometre of it.
 _TABLE_STEP_M = 0.005
-_ODE_TOLERANCE = 1.0e-11
 # Points of a course that one step of the integration passes.
 _TOW_STEPS = 10
 
@@ -492,65 +491,53 @@ class _TurnTable(NamedTuple):
 @lru_cache(maxsize=64)
 def _build_table(turn: Turn, wheelbase_m: float) -> _TurnTable:
     """Places and headings of a vehicle on a turn, a step apart."""
-    distance = np.linspace(0.0, turn.length_m, int(turn.length_m / _TABLE_STEP_M) + 2)
+    # Two points to a step of the integration, which ends where the turn does.
+    n_steps = int(turn.length_m / (2.0 * _TABLE_STEP_M)) + 1
+    distance = np.linspace(0.0, turn.length_m, 2 * n_steps + 1)
     point, angle_deg = turn.at(distance)
     path_rad = np.radians(angle_deg)
-    lag = turn.side * _lag_rad(turn, wheelbase_m, distance)
-    exit_rad = float(path_rad[-1])
+    body_rad = _drag(path_rad, float(distance[1]), wheelbase_m, stride=2)
     ahead, left = (freeze(axis.copy()) for axis in point.T)
-    half_lag_tan = float(np.tan(0.5 * lag[-1]))
+    exit_rad = float(path_rad[-1])
+    half_lag_tan = float(np.tan(0.5 * (exit_rad - body_rad[-1])))
     return _TurnTable(
-        freeze(distance), ahead, left, freeze(path_rad - lag), exit_rad, half_lag_tan
+        freeze(distance), ahead, left, freeze(body_rad), exit_rad, half_lag_tan
     )
-
-
-def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArray:
-    """Angle from the body to the path, (n,), in rad.
-
-    It grows with the curvature and decays with its own sine.
-    """
-    from scipy.integrate import solve_ivp
-
-    # Curvature is linear between these distances.
-    arc_starts = turn.clothoid_length_m
-    arc_ends = turn.length_m - turn.clothoid_length_m
-    distances = np.array([0.0, arc_starts, arc_ends, turn.length_m])
-    curvatures = 1.0 / np.array(
-        [turn.first_radius_m, *2 * [turn.radius_m], turn.first_radius_m]
-    )
-
-    def growth(distance: float, lag: FloatArray) -> FloatArray:
-        return np.interp(distance, distances, curvatures) - np.sin(lag) / wheelbase_m
-
-    solution = solve_ivp(
-        growth,
-        (0.0, turn.length_m),
-        [0.0],
-        method="DOP853",
-        t_eval=distance_m,
-        rtol=_ODE_TOLERANCE,
-        atol=_ODE_TOLERANCE,
-        max_step=0.25
-        # Or it might step over where the arc begins.
-        * turn.clothoid_length_m,
-    )
-    return np.asarray(solution.y[0])
 
 
 # The same few courses are driven again and again.
 @lru_cache(maxsize=64)
 def _tow(course: Course, wheelbase_m: float) -> FloatArray:
-    """Heading of a body dragged along a course, at its points, (n,).
+    """Heading of a body dragged along a course, at its points, (n,)."""
+    step_m = (course.end_m - course.begin_m) / (len(course.yaw_rad) - 1)
+    return freeze(_drag(course.yaw_rad, step_m, wheelbase_m, stride=_TOW_STEPS))
 
-    Runge and Kutta's method gives it.
+
+def _drag(
+    path_rad: FloatArray, step_m: float, wheelbase_m: float, *, stride: int
+) -> FloatArray:
+    """Heading of a body whose front axle follows a path, (n,), in radians.
+
+    At first it is aligned with the path. The rate at which it turns is the sine of its
+    angle to the path by the wheelbase; Runge and Kutta's classical method integrates
+    it.
+
+    Parameters
+    ----------
+    path_rad : (n,) float
+        Direction of the path at even steps. [rad]
+    step_m : float
+        From one point of the path to the next. [m]
+    wheelbase_m : float
+        Front axle to rear axle. [m]
+    stride : int
+        Points that one step of the integration passes; even.
     """
-    stride = _TOW_STEPS
     # Two points to a step: its start, its middle.
-    yaw = course.yaw_rad[:: stride // 2]
+    yaw = path_rad[:: stride // 2]
     n_steps = (len(yaw) - 1) // 2
-    step_m = stride * (course.end_m - course.begin_m) / (len(course.yaw_rad) - 1)
     path = yaw[: 2 * n_steps + 1].tolist()
-    gain = step_m / wheelbase_m
+    gain = stride * step_m / wheelbase_m
     body = path[0]
     nodes = [body]
     for step in range(n_steps):
@@ -563,7 +550,7 @@ def _tow(course: Course, wheelbase_m: float) -> FloatArray:
         body += (first + 2.0 * (second + third) + fourth) / 6.0
         nodes.append(body)
     slope = np.sin(yaw[: 2 * n_steps + 1 : 2] - nodes) * gain / stride
-    return freeze(_hermite(np.array(nodes), slope, stride, len(course.yaw_rad)))
+    return _hermite(np.array(nodes), slope, stride, len(path_rad))
 
 
 def _hermite(
