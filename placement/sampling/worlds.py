@@ -15,8 +15,8 @@ from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray, IntArray, freeze
 from geometry.poses import Pose
 from geometry.scene import Scene
-from scenarios.aeb import AebRule, last_brake_time_s
-from scenarios.encounters import first_contact_s
+from scenarios.aeb import AebRule, last_brake_times_s
+from scenarios.encounters import Encounter, first_contact_s
 from scenarios.obstructions import is_way_free
 from scenarios.paths import MPS_PER_KMH, Motion, MovedPath, rotated, travel_time_s
 from scenarios.runs import Run, build_frame_axis, frames_at
@@ -464,31 +464,36 @@ def draw_road_users(
     where something stands in the other one, the planned motion where the drawn one
     leads to no impact at the planned place.
     """
-    changed: dict[int, Run | None] = {}
-    drawn = []
+    # One and the same encounter in all weathers.
+    alike = {id(run.encounter): run for run in runs}
+    drawn: dict[int, Encounter] = {}
+    for key, run in alike.items():
+        place = (run.case.name, run.approach, run.position, run.vut_speed_kmh)
+        both = (run.case.vru_speed_kmh,) if run.case.pairs_kmh else ()
+        other = _draw_one(run, users, rng("road user", *place, *both), scene)
+        if other is not None:
+            drawn[key] = other
+    last_s = last_brake_times_s([*drawn.values()], rule)
+    changes: dict[int, dict[str, Any]] = {}
+    for (key, encounter), brake_s in zip(drawn.items(), last_s.tolist(), strict=True):
+        changes[key] = frames_at(encounter, alike[key].time_s)
+        changes[key] |= {"encounter": encounter, "last_brake_time_s": brake_s}
+    changed = []
     n_kept = 0
     for run in runs:
-        # One and the same in all weathers.
-        key = id(run.encounter)
-        if key not in changed:
-            place = (run.case.name, run.approach, run.position, run.vut_speed_kmh)
-            both = (run.case.vru_speed_kmh,) if run.case.pairs_kmh else ()
-            changed[key] = _draw_one(
-                run, users, rule, rng("road user", *place, *both), scene
-            )
-        other = changed[key]
-        n_kept += other is None
-        # Its bodies move so in every weather.
-        if other is not None:
-            run = replace(run, **{name: getattr(other, name) for name in _MOVED})
-        drawn.append(run)
-    return tuple(drawn), n_kept
+        change = changes.get(id(run.encounter))
+        if change is None:
+            n_kept += 1
+            changed.append(run)
+        else:
+            changed.append(replace(run, **change))
+    return tuple(changed), n_kept
 
 
 def _draw_one(
-    run: Run, users: RoadUsers, rule: AebRule, random: np.random.Generator, scene: Scene
-) -> Run | None:
-    """Draw one run; None where it has no impact at the planned place."""
+    run: Run, users: RoadUsers, random: np.random.Generator, scene: Scene
+) -> Encounter | None:
+    """Draw an encounter; None where it has no impact at the planned place."""
     encounter = run.encounter
     planned_mps = encounter.vru_motion.speed_mps
     faster_mps = (
@@ -514,7 +519,6 @@ def _draw_one(
     if turn_deg or aside_m:
         other = change_motion(
             run,
-            rule,
             speed_mps=speed_mps,
             nearer_share=nearer_share,
             turn_deg=_sense(run) * turn_deg,
@@ -522,11 +526,11 @@ def _draw_one(
             start_mps2=start_mps2,
         )
         if other is not None:
-            motion = other.encounter.vru_motion
+            motion = other.vru_motion
             if is_way_free(encounter.vru, motion, scene, run.obstruction):
                 return other
     return change_motion(
-        run, rule, speed_mps=speed_mps, nearer_share=nearer_share, start_mps2=start_mps2
+        run, speed_mps=speed_mps, nearer_share=nearer_share, start_mps2=start_mps2
     )
 
 
@@ -545,22 +549,20 @@ def _sense(run: Run) -> float:
 
 def change_motion(
     run: Run,
-    rule: AebRule,
     *,
     speed_mps: float,
     nearer_share: float = 0.0,
     turn_deg: float = 0.0,
     aside_m: float = 0.0,
     start_mps2: float | None = None,
-) -> Run | None:
-    """A run whose road user moves otherwise than planned.
+) -> Encounter | None:
+    """A run's encounter with a road user who moves otherwise than planned.
 
     It is faster or slower, starts nearer to the impact, or takes another way. Its
     way from rest to the impact is shorter by `nearer_share`, turned about the
     impact by `turn_deg`, counter-clockwise, then `aside_m` farther to its left.
     With `start_mps2` it sets off so, else over the planned distance. The VUT keeps
-    its way; both are at the impact as planned. Frames are those of the planned run;
-    the last brake time is computed anew. None: the bodies do not touch, or long
+    its way; both are at the impact as planned. None: the bodies do not touch, or long
     before, somewhere else.
     """
     encounter = run.encounter
@@ -606,14 +608,11 @@ def change_motion(
     early_s = first_contact_s(changed)
     if not abs(early_s) <= _MAX_EARLY_S:
         return None
-    changed = replace(
+    return replace(
         changed,
         vut_motion=_later(changed.vut_motion, -early_s),
         vru_motion=_later(changed.vru_motion, -early_s),
     )
-    last_s = last_brake_time_s(changed, rule)
-    frames = frames_at(changed, run.time_s)
-    return replace(run, encounter=changed, last_brake_time_s=last_s, **frames)
 
 
 def _later(motion: Motion, seconds: float) -> Motion:
@@ -623,9 +622,3 @@ def _later(motion: Motion, seconds: float) -> Motion:
         start_time_s=motion.start_time_s + seconds,
         brake_time_s=motion.brake_time_s + seconds,
     )
-
-
-_MOVED = (
-    *("encounter", "vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg"),
-    *("vru_shape", "last_brake_time_s"),
-)
