@@ -15,10 +15,6 @@ RULE = AebRule(
     n_confirmations=1,
     frame_rate_hz=10.0,
 )
-MARGIN_S = 0.065
-"""Of a run that is avoided: its only frame in time is at -0.1 s, the last moment at
--0.01 s.
-"""
 
 
 def avoiding_table(

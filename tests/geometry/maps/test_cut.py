@@ -333,6 +333,26 @@ def test_lanes_are_led_straight_on_through_another_junction(aside_m):
     assert "other junctions around it" in notes_of(surroundings)
 
 
+@pytest.mark.parametrize(
+    ("more", "led"),
+    [
+        (slice(0, 2), {"near out to far out", "second out to second far"}),
+        # Where lanes merge or part, each of them has a way on.
+        (slice(0, 1), {"near out to far out", "second out to far out"}),
+        (slice(1, 2), {"near out to far out", "near out to second far"}),
+    ],
+)
+def test_each_lane_leads_into_the_one_for_which_it_bends_least(more, led):
+    source = crossing_map()
+    second = (
+        lane("second out", [(8.0, -4.5), (28.0, -4.5)], start="j", to="k"),
+        lane("second far", [(40.0, -4.5), (80.0, -4.5)], start="k"),
+    )
+    _, scene = imported(replace(source, lanes=(*source.lanes, *second[more])))
+
+    assert lines_of(scene, "connecting").keys() == {"far in to near in", *led}
+
+
 def test_where_the_map_ends_a_lane_is_assumed_and_told():
     surroundings, scene = imported(crossing_map(goes_on=False))
     assert "other junctions around it" not in notes_of(surroundings)
