@@ -108,19 +108,17 @@ def live_confirmation_time_s(
     """When the track of one run that is alive at `until_s` was confirmed, in seconds.
 
     (..., n_frames) detections -> (...,); infinite if no confirmed track is alive then.
-    `until_s` is the last brake time less the latency, or infinite to ask for the first
-    confirmation of all; with an infinite ``rule.track_memory_s`` it is the first one up
-    to `until_s`: the study's reading. More detections never make it later. It decides
-    the avoidance (finite or not) and the margin, `until_s` less it.
+    `until_s` is the last brake time less the latency; with an infinite
+    ``rule.track_memory_s`` it is the first confirmation up to then: the study's
+    reading. More detections never make it later. It decides the avoidance (finite or
+    not) and the margin, `until_s` less it.
     """
     times = np.asarray(time_s, dtype=np.float64)
     frames = np.asarray(detected, dtype=bool) & (times <= until_s + TIME_TOLERANCE_S)
-    if until_s == math.inf:
-        memory_s = math.inf
-    else:
-        memory_s = rule.track_memory_s
     confirmed = confirmation_mask(frames, n_confirmations=rule.n_confirmations)
-    confirmed &= held_frames(frames, times, until_s=until_s, memory_s=memory_s)
+    confirmed &= held_frames(
+        frames, times, until_s=until_s, memory_s=rule.track_memory_s
+    )
     result: FloatArray = np.where(confirmed, times, np.inf).min(axis=-1, initial=np.inf)
     return result
 

@@ -38,6 +38,7 @@ from scenarios.aeb import (
 )
 from scenarios.confirmation import (
     confirmation_mask,
+    held_frames,
     is_in_time,
     live_confirmation_time_s,
 )
@@ -54,7 +55,7 @@ build_ups_s = st.one_of(st.just(0.0), numbers(0.05, 0.8), numbers(1.5, 2.0))
 bodies = st.sampled_from(["adult", "cyclist"])
 detections = st.lists(st.booleans(), min_size=1, max_size=15)
 memories_s = st.sampled_from([0.1, 0.2, 0.3, 0.5, 1.0, math.inf])
-untils_s = numbers(-1.5, 0.5)
+untils_s = numbers(-1.0, 1.0)
 
 
 def _tau_s(encounter, rule=RULE):
@@ -535,6 +536,34 @@ def test_the_live_track_is_that_of_a_simulation_frame_by_frame(
     )
 
     assert found_s == expected_s
+
+
+@given(st.lists(detections, min_size=2, max_size=4), memories_s, untils_s)
+def test_no_track_reaches_from_one_run_into_the_next(runs, memory_s, until_s):
+    n_frames = [len(detected) for detected in runs]
+    times = [np.arange(1 - n, 1) / 10.0 for n in n_frames]
+    together = held_frames(
+        np.concatenate(runs),
+        np.concatenate(times),
+        until_s=until_s,
+        memory_s=memory_s,
+        last_frame=(np.cumsum(n_frames) - 1).repeat(n_frames),
+    )
+    one_by_one = [
+        held_frames(detected, time_s, until_s=until_s, memory_s=memory_s)
+        for detected, time_s in zip(runs, times, strict=True)
+    ]
+
+    assert together.tolist() == np.concatenate(one_by_one).tolist()
+
+
+def test_a_gap_between_frames_may_be_exactly_as_long_as_the_memory():
+    """In binary, -0.6 less -0.9 is a little more than 0.3."""
+    time_s = np.array([-0.9, -0.6])
+    held = held_frames([True, True], time_s, until_s=-0.6, memory_s=0.3)
+
+    assert time_s[1] - time_s[0] > 0.3
+    assert held.tolist() == [True, True]
 
 
 def test_a_track_may_be_exactly_as_old_as_its_memory():

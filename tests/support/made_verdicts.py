@@ -1,5 +1,7 @@
 """Verdicts and evaluations made by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from geometry.poses import Pose
@@ -27,10 +29,12 @@ def made_verdict(axis, onset_s, *, is_avoided=None, detected=None):
 def live_verdict(axis, detected, rule):
     """What the rule makes of detections, run by run as on the road."""
     confirmation_s = np.empty(axis.n_runs)
+    # The first confirmation of all, in time or not.
+    endless = replace(rule, track_memory_s=np.inf)
     for index in range(axis.n_runs):
         frames = axis.frames_of(index)
         confirmation_s[index] = live_confirmation_time_s(
-            detected[frames], axis.time_s[frames], until_s=np.inf, rule=rule
+            detected[frames], axis.time_s[frames], until_s=np.inf, rule=endless
         )
     return Verdict(
         detected=detected,
