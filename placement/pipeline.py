@@ -26,7 +26,6 @@ from .candidates import CandidateGrid, CandidatePose, build_candidates, build_gr
 from .compute import DEFAULT_COMPUTE, Compute, RunTasks, run_here
 from .detection_table import DetectionTable, mixed_table
 from .evaluator import with_sight
-from .explain.conflicts import find_refusal
 from .explain.contributions import NextUnit, find_next_unit
 from .forbidden_views import (
     ForbiddenAreas,
@@ -761,9 +760,15 @@ def _cached(assembly: Assembly, answer: Callable[[], _Answer]) -> _Answer:
         )
     except UnmetError as error:
         assembly.compute.progress(Phrase("find conflicting requirements"), 0, 0)
-        limit_s = effort.time_limit_s
-        at = (assembly.scene, assembly.candidates)
-        refusal = find_refusal(problem, wishes, *at, time_limit_s=limit_s)
+        # By name: only whose wishes cannot be met needs it.
+        find_refusal = load_entry("placement.explain.conflicts:find_refusal")
+        refusal: InputError | None = find_refusal(
+            problem,
+            wishes,
+            assembly.scene,
+            assembly.candidates,
+            time_limit_s=effort.time_limit_s,
+        )
         raise refusal or error from None
 
 

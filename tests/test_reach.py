@@ -15,8 +15,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("geometry", "scenarios", "placement", "experiments")
 START = "experiments.cli.place"
-MOST_MODULES = 182
-MOST_TOKENS = 306_000
+MOST_MODULES = 180
+MOST_TOKENS = 302_000
 """Of today, so that it grows no further; 150 modules are to be reached. The decision to
 brake (positions, tracks, twins) brought seven.
 """
