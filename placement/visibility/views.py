@@ -32,6 +32,8 @@ _LEAST_CUT_M = 0.6e-3
 _SURE_SINE = 0.05
 # A normal turned by a radian counts as much as a way of this length.
 _TURN_M = 0.3
+# Places whose points are turned and moved at once.
+_PLACES_TOGETHER = 128
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -332,26 +334,37 @@ def build_places(
     )
     unique = rows[first]
     surface_index = unique[:, 3].astype(np.int64)
-    body_points = np.stack([surface.points_m for surface in surfaces])[surface_index]
-    points = body_points @ np.swapaxes(body_rotation(unique[:, 2]), 1, 2)
+    yaw_deg = unique[:, 2]
     middle = on_ground(unique[:, :2] + origin_m[:2], terrain_of(scene))
-    points[..., :2] += unique[:, None, :2]
-    points[..., 2] += middle[:, None, 2]
     # As many numbers as machines handle at once divide the number of corners.
     n_corners = -(-max(len(surface.hull_index) for surface in surfaces) // 16) * 16
     corners = np.stack(
         [np.resize(surface.hull_index, n_corners) for surface in surfaces]
     )
-    axes = np.ascontiguousarray(np.swapaxes(points, 1, 2), dtype=np.float32)
+    body_points = np.stack([surface.points_m for surface in surfaces])
+    axes = np.empty((len(unique), 3, body_points.shape[1]), dtype=np.float32)
+    hull = np.empty((len(unique), 3, n_corners), dtype=np.float32)
+    middle_of_points = np.empty((len(unique), 3))
+    # A block at a time, whose points stay in the processor's cache.
+    for begin in range(0, len(unique), _PLACES_TOGETHER):
+        block = slice(begin, begin + _PLACES_TOGETHER)
+        bodies = surface_index[block]
+        rotation = body_rotation(yaw_deg[block])
+        points = body_points[bodies] @ np.swapaxes(rotation, 1, 2)
+        points[..., :2] += unique[block, None, :2]
+        points[..., 2] += middle[block, None, 2]
+        middle_of_points[block] = points.mean(axis=1)
+        axes[block] = np.swapaxes(points, 1, 2)
+        hull[block] = np.take_along_axis(axes[block], corners[bodies][:, None], axis=2)
     return Places(
         surfaces=surfaces,
         position_m=unique[:, :2],
         up_m=middle[:, 2],
-        yaw_deg=unique[:, 2],
+        yaw_deg=yaw_deg,
         surface_index=surface_index,
         axes_m=axes,
-        hull_m=np.take_along_axis(axes, corners[surface_index][:, None, :], axis=2),
-        middle_m=points.mean(axis=1),
+        hull_m=hull,
+        middle_m=middle_of_points,
         radius_m=np.array([surface.radius_m for surface in surfaces])[surface_index],
         place_of_frame=place_of_frame.ravel(),
     )
