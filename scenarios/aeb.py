@@ -185,7 +185,9 @@ _CONTACT_ROUNDS = 2
 def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
     """Latest onset of braking such that it and every earlier one avoids the contact.
 
-    See :func:`last_brake_times_s`.
+    It is at most 0, and minus infinity if even braking at the VUT's start does not
+    help. An onset 10 microseconds later leads to contact. See
+    :func:`last_brake_times_s`, which takes little longer for many encounters.
     """
     return float(last_brake_times_s([encounter], rule)[0])
 
@@ -274,7 +276,8 @@ class _Onsets:
                     half_second_s=half_s,
                 )
             )
-        return Cells(*map(np.concatenate, zip(*parts, strict=True)))
+        columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        return Cells(*columns)
 
     def measure(self, cells: Cells) -> Measures:
         """Whether the bodies touch in cells, as :func:`find_first_touches` asks."""

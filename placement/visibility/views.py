@@ -345,7 +345,7 @@ def build_places(
     axes = np.empty((len(unique), 3, body_points.shape[1]), dtype=np.float32)
     hull = np.empty((len(unique), 3, n_corners), dtype=np.float32)
     middle_of_points = np.empty((len(unique), 3))
-    # A block at a time, whose points stay in the processor's cache.
+    # A block at a time: fresh memory for all points takes longer than their numbers.
     for begin in range(0, len(unique), _PLACES_TOGETHER):
         block = slice(begin, begin + _PLACES_TOGETHER)
         bodies = surface_index[block]

@@ -55,7 +55,7 @@ build_ups_s = st.one_of(st.just(0.0), numbers(0.05, 0.8), numbers(1.5, 2.0))
 bodies = st.sampled_from(["adult", "cyclist"])
 detections = st.lists(st.booleans(), min_size=1, max_size=15)
 memories_s = st.sampled_from([0.1, 0.2, 0.3, 0.5, 1.0, math.inf])
-untils_s = numbers(-1.0, 1.0)
+untils_s = numbers(-1.5, 1.0)
 
 
 def _tau_s(encounter, rule=RULE):
